@@ -1,14 +1,14 @@
 """Kinds that are not of the package: each runs, is checked, logged and plotted like the package's own."""
 
 import json
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 import pytest
 
 from stewart_drake.base.config import NotNegative, Positive
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError
-from stewart_drake.base.jit import fields, new_record
+from stewart_drake.base.records import Record, Vec12
 from stewart_drake.base.registry import CONTROLLERS, ENCODER_FAULTS, SENSORS
 from stewart_drake.control.base import ControllerOptions
 from stewart_drake.control.lqi import LqiOptions
@@ -17,7 +17,7 @@ from stewart_drake.hardware.sensors import SensorOptions
 from stewart_drake.logs.log import load_log
 from stewart_drake.logs.metrics import MetricError, run_metrics
 from stewart_drake.loop.part import Part
-from stewart_drake.mechanics.kinematics_laws import robot_record
+from stewart_drake.mechanics.kinematics_laws import Robot, robot_record
 from stewart_drake.plotting.run_plots import plot_states, plot_torques
 from stewart_drake.runs.checks import check_scenario
 from stewart_drake.runs.simulation import run
@@ -130,6 +130,18 @@ def test_results_are_kept_under_the_code_of_added_kinds():
     assert len({*before, other_sensor, kinds()}) == 3
 
 
+class Reading(Record):
+    reading: Annotated[np.ndarray, ("size",)]
+
+
+class Measured(Record):
+    measurement: Vec12
+
+
+class HeavierRobot(Record):
+    mass: Robot
+
+
 class ToySensor:
     """Reads the pose with an offset along Z, or numbers that nobody can use."""
 
@@ -137,7 +149,7 @@ class ToySensor:
         self.off, self.size = off, size
 
     def parts(self, _):
-        state, constants = new_record(fields(reading=self.size)), {"off": self.off}
+        state, constants = Reading.sized(size=self.size).new(), {"off": self.off}
         return (Part("toy", read, constants, {"plant_pose": 12}, ("reading",), state),)
 
 
@@ -150,7 +162,7 @@ class ToyEstimator:
     """Takes half of the sensor's offset away."""
 
     def parts(self, _):
-        return (Part("half", halve, {}, {"reading": 12}, ("measurement",), new_record(fields(measurement=12))),)
+        return (Part("half", halve, {}, {"reading": 12}, ("measurement",), Measured.new()),)
 
 
 def halve(reading, state):
@@ -165,7 +177,7 @@ class ToyLaw:
 
     def parts(self, context):
         robot = robot_record(context.robot)
-        state = new_record(fields(mass=robot.dtype), mass=robot)
+        state = HeavierRobot.new(mass=robot)
         return (Part("grows", grow, {}, {}, ("mass",), state),)
 
 

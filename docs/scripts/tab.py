@@ -14,13 +14,14 @@ import sys
 import tempfile
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from stewart_drake import Scenario, load_scenario
 from stewart_drake.base.config import NotNegative
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Record, Vec2, Vec6, Vec18, record
 from stewart_drake.base.registry import ADAPTATIONS
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.base import AdaptationOptions
@@ -33,7 +34,7 @@ from stewart_drake.live.start import about_robot
 from stewart_drake.live.steering import SmoothValue
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
-from stewart_drake.mechanics.friction import FRICTION
+from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.singularities import PLANNED
 from stewart_drake.plant.closed_form import ClosedForm
 from stewart_drake.scenario.assembly import loop_of
@@ -57,28 +58,43 @@ class FrictionLearner(AdaptationOptions):
     """[1/s] share of that torque."""
 
     coulomb: NotNegative = 0.0
-    """[N m] that is believed at first."""
+    """[N m] at the start."""
     viscous: NotNegative = 0.0
-    """[N m s/rad] that is believed."""
+    """[N m s/rad]"""
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
-        """The law; its output takes the place of the friction that is compensated."""
+        """The law; its output replaces the compensated friction."""
         part = FrictionCompensation(coulomb=self.coulomb, viscous=self.viscous).part(context)
-        state = new_record(fields(friction=FRICTION), friction=part.parameters["friction"])
-        params = new_record(_LEARNS, gain=self.gain, period=context.period)
-        inputs, constants = (
-            {"disturbance_torque": 6, "reference": 18},
-            {"robot": laws.robot_record(context.robot), "params": params},
-        )
+        state = LearntFriction.new(friction=part.parameters["friction"])
+        params = LearningParams.new(gain=self.gain, period=context.period)
+        inputs = {"disturbance_torque": 6, "reference": 18}
+        constants = {"robot": laws.robot_record(context.robot), "params": params}
         return (Part("learner", learn, constants, inputs, ("friction",), state, (laws.Legs,)),)
 
 
-_LEARNS = fields(gain=(), period=())
+class LearningParams(Record):
+    """Parameters of the friction's law."""
+
+    gain: float  # [1/s]
+    period: float  # [s]
+
+
+class LearntFriction(Record):
+    """State of the friction's law."""
+
+    friction: Friction
 
 
 @njit
-def learn(robot: Any, params: Any, disturbance_torque: Any, reference: Any, legs: Any, state: Any) -> None:
-    """Coulomb and break-away torque (6,) [N m] of each motor."""
+def learn(
+    robot: laws.Robot,
+    params: LearningParams,
+    disturbance_torque: Vec6,
+    reference: Vec18,
+    legs: laws.Legs,
+    state: LearntFriction,
+) -> None:
+    """Coulomb and break-away torque (6,) [N m] of the motors."""
     robot, params, legs, friction = record(robot), record(params), record(legs), record(state).friction
     if laws.legs_at(robot, reference[:6], legs) >= 0:
         return
@@ -91,9 +107,17 @@ def learn(robot: Any, params: Any, disturbance_torque: Any, reference: Any, legs
         friction.break_away[i] = friction.coulomb[i]
 
 
+class Scene(Record):
+    """Bodies of the picture."""
+
+    frames: Annotated[np.ndarray, (14, 12)]  # Axes and positions of 6 cranks, 6 rods, the platform, the reference disc.
+
+
 @njit
-def scene_tick(robot: Any, measured: Any, reference: Any, legs: Any, state: Any) -> None:
-    """Axes and places of cranks, rods, platform and reference disc, as `runs.scene.link_poses` has them."""
+def scene_tick(
+    robot: laws.Robot, measured: Annotated[np.ndarray, (24,)], reference: Vec18, legs: laws.Legs, state: Scene
+) -> None:
+    """Axes and positions of cranks, rods, platform and reference disc, as in `runs.scene.link_poses`."""
     robot, legs, state = record(robot), record(legs), record(state)
     laws.rotation(reference[:3], legs.rotation[:])
     for k in range(3):
@@ -127,8 +151,23 @@ def scene_tick(robot: Any, measured: Any, reference: Any, legs: Any, state: Any)
         state.frames[12, 9 + k] = measured[3 + k]
 
 
+class Stops(Record):
+    """Bounds of poses."""
+
+    middle: Vec6  # [rad] of the cranks' ranges.
+    half: Vec6  # [rad] half of the ranges.
+    home: Vec6  # [rad, m]
+    workspace: Vec2  # [rad, m] largest turn and shift from home.
+
+
+class Allowed(Record):
+    """Result of `allowed_tick`."""
+
+    allowed: float  # 1 for an allowed pose.
+
+
 @njit
-def allowed_tick(robot: Any, params: Any, asked: Any, legs: Any, state: Any) -> None:
+def allowed_tick(robot: laws.Robot, params: Stops, asked: Vec6, legs: laws.Legs, state: Allowed) -> None:
     """Whether a pose (6,) keeps its distance from singularities and stops."""
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     state.allowed = 0.0
@@ -159,20 +198,18 @@ def loop_source(scenario: Scenario) -> LoopSource:
     """All of a scenario in C: its loop, the closed form and the picture."""
     loop, step, robot = loop_of(scenario, split=True), scenario.plant.time_step, scenario.robot
     ranges = np.clip(robot.crank_angle_ranges, -np.pi, np.pi)
-    stops = new_record(
-        fields(middle=6, half=6, home=6, workspace=2),
+    stops = Stops.new(
         middle=ranges.mean(axis=1),
         half=0.5 * np.ptp(ranges, axis=1) - ENDS,
         home=robot.home_pose,
         workspace=WITHIN * np.array(scenario.safety.workspace),
     )
-    numbers = laws.robot_record(robot)
+    numbers, inputs = laws.robot_record(robot), {"measured": 24, "reference": 18}
     parts = [
         *loop.parts,
-        Part("scene", scene_tick, {"robot": numbers}, {"measured": 24, "reference": 18}, (),
-             new_record(fields(frames=(14, 12))), (laws.Legs,), period=SCENE_PERIOD),
+        Part("scene", scene_tick, {"robot": numbers}, inputs, (), Scene.new(), (laws.Legs,), period=SCENE_PERIOD),
         plant_part(scenario),
-    ]  # fmt: skip
+    ]
     outside = {
         "time": 1,
         "measured": 24,
@@ -182,16 +219,8 @@ def loop_source(scenario: Scenario) -> LoopSource:
     }
     inside = {"plant_pose": Signal("loop->measured", 0, 12), "crank_state": Signal("loop->measured", 12, 12)}
     source = LoopSource(parts, outside, inside, scenario.controller.period, step, {}, VARIABLE)
-    check = Part(
-        "check",
-        allowed_tick,
-        {"robot": numbers, "params": stops},
-        {"asked": 6},
-        (),
-        new_record(fields(allowed=())),
-        (laws.Legs,),
-    )
-    source.add_apart(check)
+    constants = {"robot": numbers, "params": stops}
+    source.add_apart(Part("check", allowed_tick, constants, {"asked": 6}, (), Allowed.new(), (laws.Legs,)))
     return source
 
 

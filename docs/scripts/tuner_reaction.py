@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.jit import fields, new_record, njit, record
+from stewart_drake.base.jit import njit
 from stewart_drake.base.markdown import markdown_table
+from stewart_drake.base.records import Record, Vec4, record
 from stewart_drake.control.features import CostScales
 from stewart_drake.control.policy import Policy, slew
 from stewart_drake.mechanics.linear_algebra import copy_to
@@ -33,7 +34,14 @@ EVENTS = ("blows", "pushes", "load jump")
 LATE = (0.0, 0.02, 0.05, 0.1)
 """[s] after the event from which on the setting is another."""
 INTEGRALS = (-1.6, -2.2, -2.6, -3.0, -4.0)
-CHANGE = fields(before=4, after=4, time=())
+
+
+class ChangeParams(Record):
+    """Parameters of a change of the setting."""
+
+    before: Vec4
+    after: Vec4
+    time: float  # [s]
 
 
 class Change(NamedTuple):
@@ -58,9 +66,9 @@ class Change(NamedTuple):
         """The law."""
         return change_tick
 
-    def params(self) -> np.ndarray:
+    def params(self) -> ChangeParams:
         """Its constants."""
-        return new_record(CHANGE, before=self.before, after=self.after, time=self.time)
+        return ChangeParams.new(self)
 
 
 @njit

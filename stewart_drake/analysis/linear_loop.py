@@ -75,7 +75,7 @@ def linear_loops(
     if getattr(scenario.controller, "dead_band", 0.0) > 0.0:
         changes["controller.dead_band"] = 0.0
     scenario = scenario.replace(changes)
-    sensed = _sensed(scenario.belief.reading_size, scenario.robot, poses)
+    sensed = _sensed(scenario.controller_model.reading_size, scenario.robot, poses)
     plants = plant_at(scenario.plant.loaded(scenario.robot), poses, scenario.gravity, period)
     active = None
     for k, pose in enumerate(poses):

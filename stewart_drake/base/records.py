@@ -69,9 +69,10 @@ class Record(_Base):
         super().__init_subclass__()
         cls.fields = {**getattr(cls, "fields", {}), **inspect.get_annotations(cls, eval_str=True)}
         shapes = {name: _shape(kind, cls._sizes) for name, kind in cls.fields.items()}
-        if None not in shapes.values():
-            items = shapes.items()
-            cls.layout = np.dtype([(n, of) if isinstance(of, np.dtype) else (n, np.float64, of) for n, of in items])
+        items = (
+            shapes.items() if None not in shapes.values() else ()
+        )  # A size is missing: `sized` makes a record of it.
+        cls.layout = np.dtype([(n, of) if isinstance(of, np.dtype) else (n, np.float64, of) for n, of in items])
 
     @classmethod
     def sized(cls, **sizes: int) -> type[Self]:
@@ -101,8 +102,8 @@ class Record(_Base):
 
     @classmethod
     def of(cls, numbers: np.ndarray) -> Self:
-        """The record in the numbers of a signal (n,), for Python: its fields are attributes."""
-        result: Any = np.ascontiguousarray(numbers, dtype=float).view(cls.layout).view(np.recarray)[0]
+        """The record in a row (n,) of a signal, or those in rows (m, n), for Python: fields are attributes."""
+        result: Any = np.ascontiguousarray(numbers, dtype=float).view(cls.layout).view(np.recarray)[..., 0][()]
         return result
 
 
@@ -133,6 +134,7 @@ def _shape(kind: Any, sizes: dict[str, int]) -> Any:
     if kind is float:
         return ()
     if isinstance(kind, type) and issubclass(kind, Record):
-        return getattr(kind, "layout", None)
+        kind = kind if kind.layout.names else kind.sized(**sizes) if sizes else kind
+        return kind.layout if kind.layout.names else None
     shape = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in get_args(kind)[1])
     return None if any(isinstance(n, str) for n in shape) else shape

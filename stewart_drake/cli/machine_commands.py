@@ -59,7 +59,7 @@ def drive(
         held_controller(loaded, loaded.start()[0])
     try:
         start = connected(loaded, opened, seconds)
-        belief = loaded.belief
+        belief = loaded.controller_model
         planned = [
             ("angles now [rad]", "  ".join(f"{angle:.4f}" for angle in start.angles)),
             ("pose now [deg, mm]", "  ".join(f"{value:.2f}" for value in SCALES * start.pose)),

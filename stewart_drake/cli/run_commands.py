@@ -130,7 +130,7 @@ def begin_with(
         )
     if not file.exists():
         return own
-    data, machine = read_mapping("model", file, 100), machine_text(own.belief)
+    data, machine = read_mapping("model", file, 100), machine_text(own.controller_model)
     if (keys := set(data) - {"name", _LEARNT_OF}) != {"model"}:
         raise ConfigurationError(f"--keep-model {file}", join_or(sorted(map(str, keys))), "a file with `model` alone")
     if (learnt_of := data.get(_LEARNT_OF, machine)) != machine:
@@ -151,8 +151,8 @@ def keep(log: SimulationLog, file: Path | None) -> None:
     if not has_learnt(log):
         say(f"nothing kept in {file}: nothing was learnt; a robot has to move, and `adaptation` must not be frozen")
         return
-    model = log.scenario.model.given() | model_of(last_learnt(log), log.scenario.belief)
-    write_text(file, to_yaml({_LEARNT_OF: machine_text(log.scenario.belief), "model": to_plain(model)}))
+    model = log.scenario.model.given() | model_of(last_learnt(log), log.scenario.controller_model)
+    write_text(file, to_yaml({_LEARNT_OF: machine_text(log.scenario.controller_model), "model": to_plain(model)}))
     tell(f"what was learnt in {file}; the next run with --keep-model {file} starts with it")
     if (learning := log.scenario.adaptation) and (key := learning.forgets):
         tell(f"adaptation.{key} begins without friction all the same: --set adaptation.{key}=false")

@@ -1,6 +1,6 @@
-"""Learns the motors and the head that a robot has while it moves, from commands and readings of the cranks alone.
+"""Adaptation by regression: a robot learns its motors and its head from commands and crank angles while it moves.
 
-The law is in `adaptation_laws`; here are its options, the part that it is in a loop, and what it has learnt as a model.
+The law is in `adaptation_laws`; this file has its options, its part of the loop, and what was learnt as a model.
 """
 
 from __future__ import annotations
@@ -64,20 +64,20 @@ _HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inerti
 
 
 class RegressionOptions(AdaptationOptions):
-    """Regression of commands on the motion that was read: head, stiffness or torque constants, damping, dry friction.
+    """Regression of commands on the measured motion: head, stiffness or torque constants, damping, dry friction.
 
-    It begins with what `model` believes. What a robot that rests, is hit or is at its limits says does not count, what
-    a crank that sticks for a moment says counts less, and a push sideways that lasts is told apart, but for servos. Any
-    other push counts once it lasts for seconds. For motors that take torques, head, rods and cranks are those in units
-    of the torque that is commanded.
+    It starts from `model`. Samples do not count while the robot rests, is hit or is at its limits; a crank that sticks
+    for a moment counts less. A lasting push sideways is estimated too, except with servos; any other push changes the
+    estimate once it lasts for seconds. With motors that take torques, masses and inertias are relative to the commanded
+    torque.
     """
 
     moved_keys: ClassVar[Mapping[str, str]] = {"reading_age": "model.reading_age"}
     is_kept: ClassVar[bool] = True
     kind: Literal["regression"] = "regression"
     forgetting: Annotated[Real, Field(ge=1.0, le=1e5)] = 8.0
-    """[s] of motion after which a sample counts 37 %; for a push that lasts 2 s. At least 1: samples within 0.6 s count
-    as one, and one alone tells nothing."""
+    """[s] of motion after which a sample counts 37 %; for a lasting push 2 s. At least 1, because samples within 0.6 s
+    count as one."""
     smoothing: Positive | None = None
     """[s] standard deviation of the kernel; null for 1.5 periods, or more where the noise of the readings needs it."""
     drive: Positive | None = None
@@ -86,16 +86,16 @@ class RegressionOptions(AdaptationOptions):
     slowest: Positive = 0.03
     """[rad/s] of a crank below which it counts as resting, and its samples are left out."""
     noise: Annotated[Real, Field(ge=1e-4, le=1.0)] = 0.003
-    """[-] standard deviation of a sample, of the motors' torque limit; the least that is assumed. No model and no motor
-    is right to less than 0.0001 of it, and at 1 no sample tells anything."""
+    """[-] standard deviation of a sample, over the motors' torque limit. At least 0.0001, because no model and no motor
+    is more accurate; at 1 nothing can be learnt."""
     cautious: Flag = False
-    """Whether friction is compensated only as far as it is known by now: too much of it would lose a slow loop."""
+    """Whether friction is compensated only as far as it is known: too much compensation makes a slow loop unstable."""
     center_of_mass: Flag = True
-    """Whether the head's centre of mass is learnt too: a load beside its middle moves it."""
+    """Whether the head's centre of mass is learnt too: a load off its centre moves it."""
     ball_joints: Flag = False
     """Whether friction of the rods' ball joints is learnt too: one viscous and one dry number for all of them."""
     frozen: Flag = False
-    """Whether nothing is learnt: the numbers stay as they are in `model`, all friction of which is compensated."""
+    """Whether nothing is learnt: the numbers stay those of `model`, and all of its friction is compensated."""
 
     @property
     def forgets(self) -> str:
@@ -106,12 +106,12 @@ class RegressionOptions(AdaptationOptions):
 
 
 def last_learnt(log: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """The last row of each signal that tells what was learnt; empty where a log has none."""
+    """The last rows of the signals of what was learnt; empty where a log has none."""
     return {name: log[name][-1] for name in LEARNT_SIGNALS if name in log and len(log[name])}
 
 
 def has_learnt(log: Mapping[str, np.ndarray]) -> bool:
-    """Whether anything that was learnt is another than at first, a number or how well it is known."""
+    """Whether a number that was learnt, or its interval, has changed since the start."""
     return any(not np.array_equal(log[name][0], last) for name, last in last_learnt(log).items())
 
 
@@ -124,9 +124,11 @@ def rows_of(known: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
         shown = " ".join(f"{1e3 * x:.3g}" for x in center.value)
         lines.append(("learnt: its centre of mass, x y z", f"{shown} ± {1e3 * center.half_width.max():.2g} mm"))
     if width.delay > 0.0:
-        lines.append(("learnt: delay, more than believed", f"{1e3 * value.delay:.3g} ± {1e3 * width.delay:.2g} ms"))
+        lines.append(
+            ("learnt: delay, beyond that of the model", f"{1e3 * value.delay:.3g} ± {1e3 * width.delay:.2g} ms")
+        )
     for words, unit, of, wide in (
-        ("torque over what was believed", "", value.drive, width.drive),
+        ("torque over that of the model", "", value.drive, width.drive),
         ("viscous friction", " N m s/rad", value.viscous, width.viscous),
         ("Coulomb friction", " N m", value.coulomb, width.coulomb),
     ):
@@ -166,7 +168,7 @@ def machine_text(model: Any) -> str:
     """What is not learnt of a robot and its motors: its links, its kind of motors and a digest of it all."""
     robot, motors = model.robot, model.motors
     learnt = {*robot.heavier(1.0), "platform_center_of_mass", *_LEARNT_OF_MOTORS}
-    fixed = [{key: value for key, value in each.to_dict().items() if key not in learnt} for each in (robot, motors)]
+    fixed = [{key: value for key, value in part.to_dict().items() if key not in learnt} for part in (robot, motors)]
     return f"{robot.links_text}, {motors.kind} motors, {checksum(fixed)}"
 
 
@@ -181,20 +183,20 @@ def kernel_weights(width: float) -> np.ndarray:
 
 
 def late_weights(width: float, late: float) -> np.ndarray:
-    """Weights (3, n) of commands that act `late` [blocks] after the reading of their own block, and of derivatives."""
+    """Weights (3, n) of commands that act `late` [blocks] after the reading of their block, and of derivatives."""
     at = np.arange(ROWS) - MIDDLE + late
     bell = np.where(np.abs(at) <= HALF + 0.5, np.exp(-0.5 * (at / width) ** 2), 0.0)
     bell /= bell.sum()
-    # What the window cuts off must not make it later.
+    # The cut at the window's end must not delay it.
     bell *= 1.0 - at * (bell @ at) / (bell @ at**2)
     bell /= bell.sum()
     return np.stack([bell, at * bell / width**2, (at**2 - width**2) * bell / width**4])
 
 
 def room_of(robot: RobotParameters) -> float:
-    """[m] by which each coordinate of the head's centre of mass may be another, with a tenth of its least inertia left.
+    """[m] largest change of the coordinates of the head's centre of mass that leaves a tenth of its least inertia.
 
-    The inertia about the origin stays as it is believed; that about the centre of mass is the rest.
+    The inertia about the origin stays that of the model; that about the centre of mass is the rest.
     """
     mass, inertia = robot.platform_mass, robot.platform_inertia_about_origin
     corners = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
@@ -304,7 +306,7 @@ def _kernel_size(options: RegressionOptions, context: LoopContext) -> tuple[int,
     """Ticks of a block, and standard deviation of the kernel [s]."""
     smoothing = options.smoothing
     if smoothing is None:
-        # At this one noise of the readings leaves a rate that is known to the width of friction's reversal.
+        # With this one noise of the readings changes a rate by the width of friction's reversal.
         coarse = context.noise**2 * context.period / (4.0 * np.sqrt(np.pi) * context.friction.width**2)
         smoothing = max(FINEST, 1.5 * context.period, float(np.cbrt(coarse)))
     stride = max(1, round(smoothing / (WIDTH * context.period)))

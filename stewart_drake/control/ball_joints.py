@@ -34,19 +34,19 @@ class BallJoints(Section, key="model.friction.joints"):
     viscous: NotNegative = 0.0
     """[N m s/rad] viscous friction of a joint."""
     coulomb: NotNegative = 0.0
-    """[N m] dry friction of a joint, about each of three axes: the motor's across the rod, across both, and the rod."""
+    """[N m] dry friction of a joint about three axes: the motor's across the rod, the one across both, and the rod."""
     width: Positive = 0.01
-    """[rad/s] speed about an axis from which on all of the dry friction acts; below, in proportion."""
+    """[rad/s] speed about an axis from which on dry friction acts in full; below, in proportion."""
     inertia: NotNegative = 0.0
-    """[kg m^2] that a joint's turning moves, such as MuJoCo's armature."""
+    """[kg m^2] inertia of a joint, such as MuJoCo's armature."""
     crank: SixNumbers = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
-    """Share of these that the joint at each crank has."""
+    """Factors of these for the joints at the cranks."""
     platform: SixNumbers = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
-    """Share of these that the joint at the platform has, of each leg."""
+    """Factors of these for the joints at the platform."""
     crank_axes: SixTurns = NO_TURNS
-    """[rad] roll, pitch, yaw by which the axes of the dry friction are turned from these in the joint at each crank."""
+    """[rad] roll, pitch, yaw of the axes of dry friction relative to these, in the joints at the cranks."""
     platform_axes: SixTurns | None = None
-    """[rad] those of the axes in the joint at the platform, of each leg, from the platform's; null for the rod's."""
+    """[rad] the same in the joints at the platform, relative to the platform's axes; null for the rod's axes."""
 
 
 class Joints(Record):
@@ -56,10 +56,10 @@ class Joints(Record):
     coulomb: float  # [N m]
     width: float  # [rad/s]
     inertia: float  # [kg m^2]
-    crank: Vec6  # Share of these that the joint at a crank has.
-    platform: Vec6  # Share that the joint of a leg at the platform has.
+    crank: Vec6  # Factors of these for the joints at the cranks.
+    platform: Vec6  # The same for the joints at the platform.
     turns: Annotated[np.ndarray, (2, 6, 3, 3)]  # Rotations of the axes of dry friction, at cranks and platform.
-    on_platform: float  # 1 where those at the platform turn the platform's axes, 0 where they turn the rod's.
+    on_platform: float  # 1 where those at the platform are relative to the platform's axes, 0 for the rod's.
 
 
 def joints_record(joints: BallJoints | None) -> Joints:

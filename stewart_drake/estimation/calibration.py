@@ -22,6 +22,7 @@ from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.tables import numbers_to_csv
 from stewart_drake.estimation import core, geometry
 from stewart_drake.estimation.core import Estimate, Result, Unidentifiable
+from stewart_drake.estimation.corrections import corrections
 from stewart_drake.estimation.geometry import OF_ROBOT, PARAMETERS, PER_LEG, SIZE, PoseModel
 from stewart_drake.estimation.poses import MeasurementNoise, Measurements, load_measurements
 from stewart_drake.robot import RobotParameters
@@ -39,18 +40,7 @@ _SAME = 1e-9  # [rad, m] less than any tracker's last digit, more than a file's.
 _MISFIT = _BETTER = 5.0
 """[-] closures over their noise from which a reason is looked for, and how many times smaller one must make them."""
 _FAR = 0.3  # [-] change of a parameter, in `scales`, that nobody's guess is off by.
-_STRAY, _MOST_STRAYS, _SUSPECTS = 10.0, 0.2, 3
-"""A stray row is off so many times further than usual; share of rows that can be strays; rows suspected."""
 _Function = Callable[[np.ndarray], np.ndarray]
-_DEGREE = math.pi / 180.0
-_UNITS = (
-    ("pose_x, y, z", slice(3, 6), 1e-3, "millimetres for metres"),
-    ("pose_x, y, z", slice(3, 6), 1e3, "metres for millimetres"),
-    ("pose_roll, pitch, yaw", slice(0, 3), _DEGREE, "degrees for radians"),
-    ("pose_roll, pitch, yaw", slice(0, 3), 1.0 / _DEGREE, "radians for degrees"),
-    ("crank_angle", slice(6, 12), _DEGREE, "degrees for radians"),
-    ("crank_angle", slice(6, 12), 1.0 / _DEGREE, "radians for degrees"),
-)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -376,7 +366,7 @@ def located(guess: RobotParameters, measurements: Measurements, known: Collectio
     size = np.array([length] * 3 + [1.0] * 3)
     if "base" not in known:
         # Turns from pose to pose are turned by the base alone; shifts nearly so, and they show it if no pose is turned.
-        there, here = (np.concatenate(np.hsplit(size * _steps(frames), 2)) for frames in (observed, believed))
+        there, here = (np.concatenate(np.hsplit(size * geometry.steps(frames), 2)) for frames in (observed, believed))
         turn = Rotation.align_vectors(there, here)[0].as_matrix()
         base = geometry.transform(turn, (observed[:, :3, 3] - believed[:, :3, 3] @ turn.T).mean(axis=0))
     if "platform" not in known:
@@ -391,11 +381,6 @@ def located(guess: RobotParameters, measurements: Measurements, known: Collectio
     return model.with_frames(directions @ scipy.optimize.least_squares(error, np.zeros(len(free)), x_scale="jac").x)
 
 
-def _steps(frames: np.ndarray) -> np.ndarray:
-    """Turns and shifts (n, 6) [rad, m] to each of n frames from the one before it, in a ring."""
-    return geometry.difference(frames, np.roll(frames, 1, axis=0))
-
-
 def _explained(
     fit: Callable[[Measurements], _ClosureFit], guess: RobotParameters, measurements: Measurements
 ) -> _ClosureFit:
@@ -406,7 +391,8 @@ def _explained(
         best = max(start.misfit / _BETTER, _MISFIT if start.score == np.inf else 0.0)
     except ConfigurationError as error:
         reason = error
-    for table, *message in _alternatives(guess, measurements, start) if start is None or start.score > _MISFIT else ():
+    off = None if start is None else np.abs(start.closures()).max(axis=-1)
+    for table, *message in corrections(guess, measurements, off) if start is None or start.score > _MISFIT else ():
         try:
             score = fit(Measurements.of_table(table, measurements.source)).score
         except ConfigurationError:
@@ -433,40 +419,3 @@ def _explained(
         allowed = f"{-guess.branches[leg]}, the branch of the readings of {measurements.source}"
         raise ConfigurationError(f"robot.legs.{leg}.branch", int(guess.branches[leg]), allowed)
     return start
-
-
-def _alternatives(
-    guess: RobotParameters, measurements: Measurements, start: _ClosureFit | None
-) -> Iterator[tuple[np.ndarray, str, str, str]]:
-    """Tables (n, 12) that would be right if units, rows or signs were wrong, and key, value and remedy of the error."""
-    source, table = measurements.source, measurements.table
-    for key, columns, factor, units in _UNITS:
-        scaled = table.copy()
-        scaled[:, columns] *= factor
-        got = f"numbers that fit if they are multiplied by {factor:.4g}"
-        yield scaled, f"{source}: {key}", got, f"the unit in the column's name; perhaps {units}?"
-    strays = _stray_rows(guess, measurements)
-    suspects = [strays] if 0 < len(strays) <= _MOST_STRAYS * len(measurements) else []
-    if start is not None:
-        off = np.abs(start.closures()).max(axis=-1)
-        suspects += [[row] for row in np.argsort(-off)[:_SUSPECTS].tolist()]
-    for rows in suspects:
-        got, allowed = "a pose that does not fit the others", "pose and readings at rest"
-        yield np.delete(table, rows, axis=0), f"{source}: row {rows[0] + 1}", got, allowed
-    for leg in range(LEG_COUNT):
-        inverted = table * np.where(np.arange(12) == 6 + leg, -1.0, 1.0)
-        got, allowed = "readings that fit with the other sign", "angles with the sign of the guess's crank angle"
-        yield inverted, f"{source}: crank_angle_{leg}", got, allowed
-
-
-def _stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]:
-    """Rows turned or shifted from their neighbours otherwise than the guess's poses, or without one; worst first."""
-    believed, good = PoseModel(guess).assembled(measurements.angles)
-    far = np.where(good, 0.0, np.inf)
-    if good.any():
-        turns_and_shifts = (_steps(frames).reshape(-1, 2, 3) for frames in (measurements.marker[good], believed))
-        observed, expected = (np.linalg.norm(steps, axis=-1) for steps in turns_and_shifts)
-        off = np.abs(observed - expected)
-        most = (off / (np.median(off, axis=0) + 1e-12)).max(axis=-1)
-        far[good] = np.minimum(most, np.roll(most, -1))
-    return [row for row in np.argsort(-far, kind="stable").tolist() if far[row] > _STRAY]

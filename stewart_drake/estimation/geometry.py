@@ -100,6 +100,11 @@ def difference(frame: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.concatenate([turn, frame[..., :3, 3] - other[..., :3, 3]], axis=-1)
 
 
+def steps(frames: np.ndarray) -> np.ndarray:
+    """Turns and shifts (n, 6) [rad, m] to each of n frames from the one before it, in a ring."""
+    return difference(frames, np.roll(frames, 1, axis=0))
+
+
 def derivative(function: Callable[[np.ndarray], np.ndarray], directions: np.ndarray) -> np.ndarray:
     """Derivatives (..., k) at zero of a function (...) of n numbers along directions (k, n), by central differences."""
     return np.stack([function(row) - function(-row) for row in _STEP * directions], axis=-1) / (2.0 * _STEP)

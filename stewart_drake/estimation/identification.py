@@ -1,4 +1,4 @@
-"""From logs to a robot: the parameters that make the torques most likely, moved to the nearest ones of real bodies."""
+"""Identification of a robot from logs: maximum-likelihood parameters, moved to the nearest that bodies can have."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ ASKED: tuple[str, ...] = ("platform_mass", "coulomb", "viscous")
 LARGEST_DEVIATION = 0.3  # [-] in `scales`, beyond which a direction counts as unidentifiable
 MEMORY = 0.5  # [s] over which residuals may be correlated
 LEAST = 1e-5
-"""[-] of the platform's mass, and of what else the guess has, that eigenvalues of bodies and numbers keep."""
+"""[-] least eigenvalue of bodies over the platform's mass, and least value of other numbers over the guess's."""
 _PASSES = 6
 _FIX_FIRST = np.array([5.0 if parameter.kind == "rod_mass" else 1.0 for parameter in PARAMETERS])
-"""Where one of several parameters could keep the guess's value it is the rods' mass, because rods can be weighed."""
+"""Of several parameters that could keep the guess's value the rods' mass does, because rods can be weighed."""
 _ROUNDING = 1e-9  # [-] of the largest singular value
 _UNEXPLAINED, _NOISY, _FACTOR = 0.5, 0.1, 30.0
-"""[-] of the torques' changes that may be left, unless less of the torques; how they may differ from the guess's."""
-_SHOWN = 0.02  # [-] of its own size by which a parameter must be in a sum for it to be named there
+"""[-] of the torques' changes that may stay unexplained, or of the torques; largest ratio to the guess's torques."""
+_NAMED = 0.02  # [-] of its size by which a parameter must occur in a sum to be named there.
 
 
 class InconsistentError(StewartDrakeError): ...
@@ -86,7 +86,7 @@ class Identification(Result):
 
     @property
     def left(self) -> np.ndarray:
-        """(n, 6) [N m] of the torques of the samples that no parameters explain."""
+        """(n, 6) [N m] residual torques of the samples."""
         return self.samples.measured - self.samples.predicted(self.values)
 
     @property
@@ -111,19 +111,19 @@ class Identification(Result):
 
     @property
     def payload(self) -> tuple[float, np.ndarray]:
-        """Mass [kg] of the platform above the guess's, and where in P (3,) [m] it sits; NaN where there is none."""
+        """Mass [kg] of the platform beyond the guess's, and its place in P (3,) [m]; NaN where there is none."""
         change = self.values - torques.values_of(self.guess)
         mass = float(change[0])
         known = abs(mass) > self.half_width[0] > 0.0
         return mass, change[1:4] / mass if known else np.full(3, np.nan)
 
     def base_parameters(self) -> list[str]:
-        """What each parameter's value means: itself, or a sum with those that keep the guess's value."""
+        """What the values mean: the parameter itself, or a sum with others that keep the guess's value."""
         names, size = [str(parameter) for parameter in PARAMETERS], torques.scales(self.guess)
         for kept in self.estimate.unidentifiable:
             unit = np.eye(len(names))[kept.at]
             for at, amount in enumerate(self.estimate.identifiable_part(unit)):
-                if at != kept.at and abs(amount) * size[kept.at] > _SHOWN * size[at]:
+                if at != kept.at and abs(amount) * size[kept.at] > _NAMED * size[at]:
                     names[at] += f" {'+' if amount > 0.0 else '-'} {abs(amount):.3g} {PARAMETERS[kept.at]}"
         return names
 
@@ -224,7 +224,7 @@ def identify(
         return torques.samples_of(robot, recording, bandwidth)
 
     fitted, unseen = [read(log) for log in logs], [read(log) for log in validate]
-    samples = torques.together(fitted)
+    samples = torques.merge_samples(fitted)
     estimate = least_squares(robot, samples, hold, ask)
     values = consistent(robot, estimate)
 
@@ -289,11 +289,11 @@ def _whitened(
 
 
 def _noise(samples: Samples, values: np.ndarray) -> np.ndarray:
-    """Covariance (6, 6) [N^2 m^2] of the residuals, by the rows that both of two motors have."""
+    """Covariance (6, 6) [N^2 m^2] of the residuals, for two motors by the rows that count for both."""
     used = samples.used.astype(float)
     residual = (samples.measured - samples.predicted(values)) * used
     covariance = residual.T @ residual / np.maximum(used.T @ used, 1.0)
-    # Pairs seldom in motion torques.together could make it indefinite; half of what is common is on the safe side.
+    # Pairs that seldom move at once could make it indefinite; half of the correlation is on the safe side.
     covariance = 0.5 * (covariance + np.diag(np.diag(covariance)))
     return covariance + 1e-12 * float(np.mean(samples.measured**2)) * np.eye(LEG_COUNT)
 
@@ -314,7 +314,7 @@ def _long_run(samples: Samples, scores: np.ndarray) -> np.ndarray:
 
 
 def _refuse_other(guess: RobotParameters, samples: Samples, values: np.ndarray) -> None:
-    """Refuses torques that are not those of the motion, or of another size than the guess's."""
+    """Refuses torques that do not fit the motion, or are of another size than the guess's."""
 
     def size(torque: np.ndarray) -> float:
         return float(np.sqrt(np.mean(torque[samples.used] ** 2))) if samples.used.any() else 0.0
@@ -341,7 +341,7 @@ def pseudo_inertia(guess: RobotParameters, values: Any) -> Any:
 
 
 def _lower_bounds(guess: RobotParameters) -> np.ndarray:
-    """Least value (`SIZE`,) of each parameter, -inf of one that has none; a rod is no thinner than its own moment."""
+    """Least values (`SIZE`,) of the parameters, -inf for none; half the moment of a rod about its axis is the least."""
     bounds, start = np.full(SIZE, -np.inf), torques.values_of(guess)
     bounds[[torques.ROD_MASS, torques.CRANK_MASS]] = LEAST * start[[torques.ROD_MASS, torques.CRANK_MASS]]
     bounds[torques.ROD_INERTIA] = 0.5 * guess.rod_inertia[2] * (1.0 + LEAST)

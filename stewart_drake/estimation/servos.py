@@ -1,12 +1,12 @@
-"""Servos that take angles, from commands and measured angles alone: stiffness, damping, friction, delay, head's mass.
+"""Identification of position servos, from commands and measured angles alone.
 
-A servo is a spring between its command and its angle, so it is itself the sensor of the torque. The law is that by
-which a robot learns while it moves, see `control.adaptation_laws`: here it gets the rows of logs, forgets nothing, and
-begins anew with what it has found, which is Gauss and Newton's method for delay and stiffness. What filter, reversals
-and rounding make of its estimate shows where a simulated robot does the same. Damping has back-EMF and viscous
-friction: they act as one. The delay of a command and the age of a reading do too, so the age must be told. All torques
-may be larger by one factor: the inertia of rotors and cranks, which is believed, makes them absolute, or else a head
-that was weighed.
+Estimates stiffness, damping, friction and delay of the servos, and the mass of the head. A servo is a spring between
+its command and its angle, so it measures its own torque. The law is that by which a robot learns while it moves, see
+`control.adaptation_laws`: here it runs over the rows of logs without forgetting, and starts again from its result,
+which is Gauss-Newton for delay and stiffness. The bias of its estimate by filter, reversals and rounding is that of an
+estimate from a simulated robot. Damping is the sum of back-EMF and viscous friction, which act as one. The delay of a
+command and the age of a reading also act as one, so the age must be given. All torques are known up to one factor: the
+inertia of rotors and cranks in the model fixes it, or a head that was weighed.
 """
 
 from __future__ import annotations
@@ -55,19 +55,19 @@ STIFFNESS, DAMPING, COULOMB, DELAY, MASS, ROTOR = slice(0, 6), slice(6, 12), sli
 QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"commanded_angle_{leg}", "rad") for leg in range(LEG_COUNT)))
 _LONGEST, _STEP = 0.2, 0.005  # [s] delays that are tried first.
 _AT_FIRST, _UNEXPLAINED, _FEW = 0.5, 0.2, 0.01
-"""[-] of the changes of command less angle that may be left, before the law and after it; [s] size of a delay."""
+"""[-] unexplained changes of command less angle that are allowed, before the law and after it; [s] size of a delay."""
 _LEAST = 0.05  # [-] of the rows in which each crank must turn.
 _LAW: Any = {"forgetting": 1e5, "center_of_mass": False}
 _KERNEL = 0.032  # [s] least standard deviation of the law's kernel: twelve bits are rough.
 _FAST, _SHARE = 0.2, 0.2
-"""[rad/s] of a crank below which its rows are left out, or a share of its RMS: a reversal must be out of the kernel."""
+"""[rad/s] of a crank below which its rows are left out, or a share of its RMS: no reversal may be within the kernel."""
 _PASSES, _CORRECTIONS, _PIECES = 5, 2, 10
-"""Of the law over all rows; of its bias, by simulation; pieces of which each is left out once, for the intervals."""
+"""Of the law over all rows; of its bias, by simulation; pieces left out one at a time, for the intervals."""
 _STUDENT = 2.262  # 95 % of Student's distribution of that many pieces.
 _UNKNOWN = 0.6  # [-] half width of an interval, over a parameter's size, beyond which it counts as not determined.
 _FINEST = 1e-6  # [rad] of an encoder's steps.
 _SERVO_STEP = 0.001  # [s] of the simulation, and of the servos' own loop there.
-_WIDTH = 0.004  # [rad/s] of the friction that is believed, as with motors that one can buy.
+_WIDTH = 0.004  # [rad/s] of a reversal in the model's friction, as for motors on the market.
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,13 +109,6 @@ _BALL_JOINTS = (
 _MOTION = "a motion in which all motors turn; `excite` designs one"
 
 
-_BALL_JOINTS = (
-    "friction of the rods' ball joints is not identified here; let `drive` learn it: --set "
-    '"adaptation={kind: regression, ball_joints: true, noise: 0.06, slowest: 0.05}" --keep-model head.yaml'
-)
-_MOTION = "a motion in which all motors turn; `excite` designs one"
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class ServoIdentification(Result):
     """Servos and head of a robot, and how well they are known.
@@ -125,8 +118,8 @@ class ServoIdentification(Result):
         values: (21,) of `PARAMETERS`.
         half_width: (21,) of the 95 % intervals; 0 for what kept its value.
         samples: Rows of the first log, thinned, with angles.
-        left: (n, 6) [rad] what a simulated robot with these constants is off there.
-        errors: (name, the same as RMS [rad]) of each log, those for validation last.
+        left: (n, 6) [rad] error of a simulated robot with these values there.
+        errors: (name, RMS of the same [rad]) of all logs, those for validation last.
         logs: Number of recordings that were fitted.
     """
 
@@ -206,13 +199,13 @@ def identify_servos(
 ) -> ServoIdentification:
     """Stiffness, damping, friction and delay of servos that take angles, and the head's mass, without any torque.
 
-    Nothing need be known of the servos before.
+    No values of the servos are needed.
 
     Args:
         robot: The guess. Its geometry, rods and cranks are kept, and the shape of its head.
         logs: At least one: recordings, logs, or files of them, at one rate.
-        hold: Nothing, and then the rotors' inertia keeps the guess's value; or `platform_mass`: a head that was weighed
-            tells the rotors' inertia.
+        hold: Empty, and then the rotors' inertia keeps the guess's value; or `platform_mass`: a head that was weighed
+            determines the rotors' inertia.
         ask: Kinds that the logs must determine.
         validate: Logs that are only predicted.
         reading_age: [s] of an angle in its row.
@@ -232,45 +225,55 @@ def identify_servos(
         return log if isinstance(log, ServoRecording) else load_servo_recording(log)
 
     recordings, unseen = [read(log) for log in logs], [read(log) for log in validate]
-    first, source = recordings[0], ", ".join(each.source for each in recordings)
-    for each in recordings:
-        if abs(each.rate / first.rate - 1.0) > 0.01:
+    first, source = recordings[0], ", ".join(recording.source for recording in recordings)
+    for recording in recordings:
+        if abs(recording.rate / first.rate - 1.0) > 0.01:
             allowed = f"rows at {first.rate:.4g} Hz, as {first.source}"
-            raise ConfigurationError(each.source, f"{each.rate:.4g} Hz", allowed)
+            raise ConfigurationError(recording.source, f"{recording.rate:.4g} Hz", allowed)
     samples, start, noise, changes = _start(robot, first, reading_age)
     noise = float(np.clip(noise / robot.effort_limits.mean(), 1e-4, 1.0))
     slowest = min(_FAST, _SHARE * _rms(samples.rates))
     law = RegressionOptions(noise=noise, slowest=slowest, smoothing=max(_KERNEL, 1.5 / first.rate), **_LAW)
-    of = _Rows(robot, first, reading_age, law, bool(hold))
-    rows = _joined(recordings)
-    found = of.estimate(rows, start)
+    regression = _Regression(robot, first, reading_age, law, bool(hold))
+    rows = _stacked(recordings)
+    estimate = regression.estimate(rows, start)
     try:
-        values = found
+        values = estimate
         for _ in range(_CORRECTIONS):
-            again = of.estimate(_joined([replayed(robot, each, values, reading_age) for each in recordings]), values)
-            values = possible(values + found - again)
-        played = [replayed(robot, each, values, reading_age).angles - each.angles for each in (*recordings, *unseen)]
+            simulated = [replay(robot, log, values, reading_age) for log in recordings]
+            values = feasible(values + estimate - regression.estimate(_stacked(simulated), values))
+        errors = [replay(robot, log, values, reading_age).angles - log.angles for log in (*recordings, *unseen)]
     except RunFailure as failure:
         allowed = "angles and commands of the guessed robot; it cannot follow them with what was identified"
         raise ConfigurationError(source, str(failure).splitlines()[0], allowed) from failure
-    pieces, ticks = np.array_split(np.arange(len(rows)), _PIECES), np.arange(len(rows))[:, None]
-    without = [of.estimate(np.where(np.isin(ticks, piece), np.nan, rows), found) for piece in pieces]
-    # The jackknife; what was found of the simulated robot is as uncertain.
-    width = _STUDENT * np.sqrt(2.0 * (_PIECES - 1) * np.var(without, axis=0))
-    _refuse_other(source, max(map(_rms, played[: len(recordings)])) / changes, _UNEXPLAINED)
-    stiffness = values[STIFFNESS].mean()
-    sizes = np.repeat(stiffness * np.array([1.0, 0.1, 0.03]), LEG_COUNT).tolist() + [_FEW, values[MASS], np.inf]
-    for parameter, by, size in zip(PARAMETERS, width, sizes, strict=True):
-        if parameter.kind in {*ask} - {*hold} and by > _UNKNOWN * size:
-            got = f"an interval of ± {by:.2g} {parameter.unit}"
-            raise ConfigurationError(f"{source}: {parameter}", got, _MOTION)
-    errors = tuple((each.source, _rms(off)) for each, off in zip((*recordings, *unseen), played, strict=True))
+    width = _half_widths(regression, rows, estimate)
+    _refuse_other(source, max(map(_rms, errors[: len(recordings)])) / changes, _UNEXPLAINED)
+    _refuse_unknown(source, values, width, {*ask} - {*hold})
     at = np.searchsorted(first.time, samples.time)
     samples = replace(samples, measured=first.angles[at], source=source)
-    return ServoIdentification(robot, values, width, samples, played[0][at], errors, len(recordings))
+    sizes = tuple((log.source, _rms(error)) for log, error in zip((*recordings, *unseen), errors, strict=True))
+    return ServoIdentification(robot, values, width, samples, errors[0][at], sizes, len(recordings))
 
 
-class _Rows:
+def _half_widths(regression: _Regression, rows: np.ndarray, estimate: np.ndarray) -> np.ndarray:
+    """Half widths (21,) of 95 % intervals, by the jackknife; the estimate of the bias is as uncertain."""
+    pieces, ticks = np.array_split(np.arange(len(rows)), _PIECES), np.arange(len(rows))[:, None]
+    without = [regression.estimate(np.where(np.isin(ticks, piece), np.nan, rows), estimate) for piece in pieces]
+    width: np.ndarray = _STUDENT * np.sqrt(2.0 * (_PIECES - 1) * np.var(without, axis=0))
+    return width
+
+
+def _refuse_unknown(source: str, values: np.ndarray, width: np.ndarray, kinds: Collection[str]) -> None:
+    """Refuses logs that leave parameters of these kinds undetermined."""
+    stiffness = values[STIFFNESS].mean()
+    sizes = np.repeat(stiffness * np.array([1.0, 0.1, 0.03]), LEG_COUNT).tolist() + [_FEW, values[MASS], np.inf]
+    for parameter, half_width, size in zip(PARAMETERS, width, sizes, strict=True):
+        if parameter.kind in kinds and half_width > _UNKNOWN * size:
+            got = f"an interval of ± {half_width:.2g} {parameter.unit}"
+            raise ConfigurationError(f"{source}: {parameter}", got, _MOTION)
+
+
+class _Regression:
     """The law over rows of angles and commands (n, 12) [rad] of a guessed robot; a row of NaN is a gap."""
 
     def __init__(
@@ -280,7 +283,7 @@ class _Rows:
         self.period, self.gravity = 1.0 / recording.rate, recording.gravity
 
     def estimate(self, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Parameters (21,) of rows, begun with some."""
+        """Parameters (21,) by rows, from a start."""
         for _ in range(_PASSES):
             values = self._once(rows, values)
             if self.weighed:
@@ -311,7 +314,7 @@ class _Rows:
 
 def motors_of(values: np.ndarray) -> tuple[dict[str, Any], dict[str, Any]]:
     """Motors and friction as keys of `model`, of parameters (21,)."""
-    values = possible(values)
+    values = feasible(values)
     stiffness, damping = float(values[STIFFNESS].mean()), float(values[DAMPING].min())
     motors = {"kind": "position", "stiffness": stiffness, "ratios": (values[STIFFNESS] / stiffness).tolist()}
     viscous = (values[DAMPING] - damping).tolist()
@@ -319,21 +322,21 @@ def motors_of(values: np.ndarray) -> tuple[dict[str, Any], dict[str, Any]]:
     return motors | {"damping": damping, "delay": float(values[DELAY])}, friction
 
 
-def _joined(recordings: Sequence[ServoRecording]) -> np.ndarray:
-    """Rows (n, 12) of recordings, with a gap between two."""
+def _stacked(recordings: Sequence[ServoRecording]) -> np.ndarray:
+    """Rows (n, 12) of recordings, with gaps between them."""
     gap = np.full((1, 12), np.nan)
     return np.vstack([part for each in recordings for part in (np.hstack([each.angles, each.commands]), gap)])
 
 
-def replayed(guess: RobotParameters, recording: ServoRecording, values: np.ndarray, age: float) -> ServoRecording:
-    """What a simulated robot of parameters (21,) does with the commands of a recording; it begins there at rest.
+def replay(guess: RobotParameters, recording: ServoRecording, values: np.ndarray, age: float) -> ServoRecording:
+    """The recording of a simulated robot with parameters (21,) and the same commands; it starts there at rest.
 
-    What the estimate makes of it, less what it was made with, is the estimate's bias by filter, reversals and steps: B.
-    Efron and R. J. Tibshirani, An Introduction to the Bootstrap (1993), chapter 10.
+    An estimate from it, less the parameters, is the bias by filter, reversals and rounding: B. Efron and
+    R. J. Tibshirani, An Introduction to the Bootstrap (1993), chapter 10.
     """
     import scipy.signal
 
-    robot, values = with_head(guess, values), possible(values)
+    robot, values = with_head(guess, values), feasible(values)
     friction = {"coulomb": values[COULOMB].tolist(), "viscous": values[DAMPING].tolist()}
     options = {"integrator": "rk4", "time_step": _SERVO_STEP, "friction": friction}
     plant = ClosedFormOptions.from_dict(options).make(robot, recording.gravity)
@@ -352,7 +355,7 @@ def replayed(guess: RobotParameters, recording: ServoRecording, values: np.ndarr
         part.kernel(*part.leading.values(), commands[step], measured[ANGLES.start : CRANK_RATES.stop], state)
         measured = plant.step(state["torque"][0], wrench)
     read = np.stack([np.interp(rows - age, time, column) for column in angles.T], axis=-1)
-    # With the noise and in the steps of its encoders.
+    # With noise and rounding of the encoders.
     apart = np.abs(np.diff(recording.angles, axis=0))
     count = apart[apart > _FINEST].min()
     sos = scipy.signal.butter(4, recording.rate / 6.0, "highpass", fs=recording.rate, output="sos")
@@ -368,7 +371,7 @@ def with_head(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
     return guess.replace(**heavier | {"rotor_inertia": float(values[ROTOR])})
 
 
-def possible(values: np.ndarray) -> np.ndarray:
+def feasible(values: np.ndarray) -> np.ndarray:
     """Parameters (21,) without negative delay, damping and friction."""
     least = np.full(len(PARAMETERS), -np.inf)
     least[DAMPING.start : DELAY + 1] = 0.0
@@ -394,7 +397,7 @@ def take_angles(logs: Iterable[str | Path]) -> bool:
     if log.suffix.lower() != ".csv":
         return load_log(log).scenario.motors.takes == "angle"
     names = ""
-    # What cannot be read says so itself once it is.
+    # A file that cannot be read is refused when it is loaded.
     with contextlib.suppress(OSError, ValueError), log.open(encoding="utf-8-sig") as stream:
         names = stream.readline().strip()
     if names and "torque_" not in names and "commanded_angle_" not in names:
@@ -408,9 +411,9 @@ def _rms(values: np.ndarray) -> float:
 
 
 def _start(guess: RobotParameters, recording: ServoRecording, age: float) -> tuple[Samples, np.ndarray, float, float]:
-    """Samples, parameters (21,) near the best, torque that is left [N m], changes of command less angle [rad].
+    """Samples, parameters (21,) near the best, unexplained torque [N m], changes of command less angle [rad].
 
-    By linear least squares for the best of many delays: command - angle is linear in compliance, and compliance times
+    By linear least squares, for the best of many delays: command - angle is linear in compliance, and compliance times
     damping and friction. The head is the guess's.
     """
     samples, smooth = torques.filtered(guess, recording)
@@ -431,7 +434,7 @@ def _start(guess: RobotParameters, recording: ServoRecording, age: float) -> tup
         shares = np.linalg.lstsq(columns, twist, rcond=None)[0]
         return float(np.sum((twist - columns @ shares) ** 2)), late, shares, twist
 
-    squares, late, shares, twist = min(map(fit, np.arange(0.0, _LONGEST, _STEP)), key=lambda each: each[0])
+    squares, late, shares, twist = min(map(fit, np.arange(0.0, _LONGEST, _STEP)), key=lambda trial: trial[0])
     left, changes = np.sqrt(squares / len(twist)), float(np.std(twist)) + _FINEST
     _refuse_other(recording.source, np.inf if shares[0] <= 0.0 else left / changes, _AT_FIRST)
     values[STIFFNESS], values[DELAY] = 1.0 / shares[0], late - age
@@ -440,7 +443,7 @@ def _start(guess: RobotParameters, recording: ServoRecording, age: float) -> tup
 
 
 def _refuse_other(source: str, left: float, most: float) -> None:
-    """Refuses angles that are not those of the commands, of whose difference a share is left unexplained."""
+    """Refuses angles that do not follow the commands: too large a share of their difference is unexplained."""
     if left > most:
         got = f"commands less angles that no servo explains, {100.0 * min(1.0, left):.0f} % of their changes"
         allowed = "a log of the guessed robot, commands and angles in rad, no servo at its torque limit"

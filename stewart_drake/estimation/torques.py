@@ -1,10 +1,10 @@
-"""From logs of crank angles and torques to equations in thirty-two parameters, one for each motor at each instant.
+"""Equations in the 32 parameters of a robot from logs of crank angles and torques, one per motor and instant.
 
     torque_i = exp(-gain_i) (Y_i(motion) bodies + coulomb_i sign(rate_i) + viscous_i rate_i)
 
-The bodies are the first fourteen. Gains are those of the amplifiers, or of the torque constants: gain_i is the natural
-logarithm of the true torque of motor i over that of its log. Angles and torques pass one filter. Where a crank turns
-slowly or reverses its equation is not used, nor where the filter smears the reversal.
+The first fourteen parameters are those of the bodies. Gains are those of the amplifiers, or of the torque constants:
+gain_i is the natural logarithm of the true torque of motor i over that of its log. Angles and torques pass one filter.
+An equation is not used where its crank turns slowly or reverses, nor where the filter smears the reversal.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ MASS, MOMENT, INERTIA, ROD_MASS, ROD_INERTIA, CRANK_MASS, ROTOR = 0, slice(1, 4)
 ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 """Of the inertia's matrix, in the order of its six parameters."""
 
-UNEVEN = 0.1  # [-] of a step by which times may lie beside an even grid
+UNEVEN = 0.1  # [-] of a step by which times may be off an even grid.
 QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"torque_{leg}", "N m") for leg in range(LEG_COUNT)))
 BANDWIDTH, ROWS_A_PERIOD = 15.0, 12.0
 """[Hz] where the filter lets half of the amplitude through, and least rows in one of its periods."""
@@ -109,7 +109,7 @@ def _body_record(guess: RobotParameters, bodies: np.ndarray) -> Robot:
 
 
 def scales(guess: RobotParameters) -> np.ndarray:
-    """Change (`SIZE`,) of each parameter that counts as 1: its own size, a hundredth of the limit, tenths of gains."""
+    """Change (`SIZE`,) of the parameters that counts as 1: their size, a hundredth of the limit, a tenth of gains."""
     mass, length, effort = guess.platform_mass, guess.characteristic_length, float(guess.effort_limits.mean())
     platform = [mass, *[mass * length] * 3, *[mass * length**2] * 6]
     links = [guess.rod_mass, guess.rod_inertia[0], guess.crank_mass, float(guess.crank_axis_inertias.mean())]
@@ -129,7 +129,7 @@ def free_directions(hold: Collection[str]) -> np.ndarray:
 
 
 LOST_TICKS, LOST_SHARE = 6, 0.05
-"""Of a gap that is filled, at most, and of all rows."""
+"""Longest gap that is filled [ticks], and largest share of filled rows."""
 
 
 class CrankReadings(Readings):
@@ -150,7 +150,7 @@ class CrankReadings(Readings):
         every, table = np.arange(place[-1] + 1), self.table
         filled = np.stack([np.interp(every, place, column) for column in table.T], axis=1)
         for name, column in self.columns.items():
-            # What was sent was held.
+            # Commands were held.
             held = table[np.searchsorted(place, every, side="right") - 1] if name == "commands" else filled
             object.__setattr__(self, name, held[:, column])
 
@@ -235,7 +235,7 @@ def recording_of_log(log: SimulationLog, source: str = "log") -> Recording:
 
 
 def readings_of_log(log: SimulationLog, source: str) -> tuple[slice, np.ndarray]:
-    """Which rows of a log are ticks, and the angles (n, 6) [rad] that were read there."""
+    """Rows of a log that are ticks, and the angles (n, 6) [rad] that were read there."""
     if "reading" not in log:
         allowed = "a log with the angles that were read, the signal reading; run with sensors=encoders"
         raise ConfigurationError(source, f"sensors.kind {log.scenario.sensors.kind}", allowed)
@@ -246,21 +246,17 @@ def readings_of_log(log: SimulationLog, source: str) -> tuple[slice, np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """n instants: what was `measured` (n, 6), torques [N m] of `columns` (n, 6, k) and `known` ones, equations `used`.
+    """Equations of the motors at n instants."""
 
-    Columns are those by bodies and friction, (n, 6, 26). `rates` [rad/s] are the cranks', `pieces` the recordings;
-    `step` [s] is between instants, of which `repeats` lie in half a period of the filter.
-    """
-
-    time: np.ndarray
-    measured: np.ndarray
-    columns: np.ndarray
-    known: np.ndarray
-    rates: np.ndarray
-    used: np.ndarray
-    pieces: tuple[slice, ...]
-    step: float
-    repeats: float
+    time: np.ndarray  # (n,) [s]
+    measured: np.ndarray  # (n, 6) [N m] torques, or angles [rad].
+    columns: np.ndarray  # (n, 6, 26) [N m] torque by a unit of the parameters of bodies and friction.
+    known: np.ndarray  # (n, 6) [N m] torque that does not depend on the parameters.
+    rates: np.ndarray  # (n, 6) [rad/s] of the cranks.
+    used: np.ndarray  # (n, 6) equations that count.
+    pieces: tuple[slice, ...]  # Recordings.
+    step: float  # [s] between instants.
+    repeats: float  # Instants in half a period of the filter.
     source: str
 
     def predicted(self, values: np.ndarray) -> np.ndarray:
@@ -274,7 +270,7 @@ class Samples:
 
 
 def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float | None = None) -> Samples:
-    """Equations of a recording; what moves the robot should lie well below the filter's bandwidth [Hz]."""
+    """Equations of a recording; the motion should be well below the filter's bandwidth [Hz]."""
     samples, smooth = filtered(guess, recording, bandwidth)
     return replace(samples, measured=smooth(recording.torque)(samples.time - recording.lag))
 
@@ -282,7 +278,7 @@ def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float | 
 def filtered(
     guess: RobotParameters, recording: CrankReadings, bandwidth: float | None = None
 ) -> tuple[Samples, Callable[[np.ndarray], Any]]:
-    """Equations without torques of what was read, and a function of rows (n, 6): those, as a spline."""
+    """Equations of a recording without torques, and a function that filters rows (n, 6) into a spline."""
     import scipy.interpolate
     import scipy.ndimage
     import scipy.signal
@@ -340,7 +336,8 @@ def samples_of_motion(
     return Samples(time, np.zeros_like(known), columns, known, speed, used, pieces, step, 1.0, source)
 
 
-def together(parts: Sequence[Samples]) -> Samples:
+def merge_samples(parts: Sequence[Samples]) -> Samples:
+    """Samples of several recordings as one."""
     ends = np.cumsum([0, *(len(part.time) for part in parts)]).tolist()
     arrays = ("time", "measured", "columns", "known", "rates", "used")
     joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}

@@ -1,4 +1,4 @@
-"""What makes a live loop an instrument: sliders of keys, a spring to pull with, tests, a record of what was done."""
+"""Tools of the live page: sliders for keys, springs to pull with, test motions, a recorder."""
 
 from __future__ import annotations
 
@@ -25,18 +25,20 @@ from stewart_drake.mechanics.kinematics import pose_jacobian, rotation_matrix
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.scenario import Scenario
 
-_PULL = 0.15, 0.2  # [-] of the characteristic length, where the spring has its largest force, as a share of `largest`.
-_TURN = 0.3  # [rad] at which a spring that turns has its largest moment, the same share of `largest`.
-_WATCHED = 2.0  # [s] of a step.
-_PERIODS = 3  # Of a sine, after one that is left out.
-_RECORDED, _EVERY = 120.0, 0.001  # [s] that a recorder keeps, and between two of its rows.
+_PULL_LENGTH = 0.15  # [characteristic lengths] stretch of a spring at its largest force.
+_FORCE_SHARE = 0.2  # Largest force or moment of a spring, as a share of `largest`.
+_PULL_ANGLE = 0.3  # [rad] turn of a spring at its largest moment.
+_STEP_DURATION = 2.0  # [s]
+_PERIODS = 3  # Evaluated periods of a sine, after one that is left out.
+_RECORDED = 120.0  # [s] that a recorder keeps.
+_RECORD_PERIOD = 0.001  # [s]
 
 
 # --- sliders of keys ---
 
 
-class Knob(NamedTuple):
-    """A key that a slider sets: where it stands, what the panel calls it, and its range."""
+class Slider(NamedTuple):
+    """A slider of the panel: its group, key, label, unit and range."""
 
     group: str
     key: str
@@ -48,21 +50,24 @@ class Knob(NamedTuple):
     whole: bool = False
 
 
-def as_instrument(scenario: Scenario) -> Scenario:
-    """The scenario with its gains and beliefs said: else they would follow where a slider changes the machine."""
-    said = {name: getattr(scenario, name).to_dict() for name in ("controller", "tuner", "estimator")}
-    said |= {"model.delay": scenario.belief.delay, "model.reading_age": scenario.belief.reading_age}
+def for_live_page(scenario: Scenario) -> Scenario:
+    """The scenario with explicit gains and model, which would otherwise follow a slider that changes the machine."""
+    given = {name: getattr(scenario, name).to_dict() for name in ("controller", "tuner", "estimator")}
+    given |= {
+        "model.delay": scenario.controller_model.delay,
+        "model.reading_age": scenario.controller_model.reading_age,
+    }
     if scenario.motors.knobs and scenario.model.motors is None:
-        said["model.motors"] = scenario.belief.motors.to_dict()
-    return scenario.replace(said)
+        given["model.motors"] = scenario.controller_model.motors.to_dict()
+    return scenario.replace(given)
 
 
-_SPREAD, _MOTORS_SPREAD = 10.0**1.5, 10.0**0.5  # Of a slider's ends, from where it began.
+_GAIN_RANGE, _MOTOR_RANGE = 10.0**1.5, 10.0**0.5  # Factor from the initial value to the ends of a slider.
 
 
-def knobs_of(scenario: Scenario, begun: Scenario) -> list[Knob]:
-    """The sliders of a scenario as it is now; gains go around where they began."""
-    found: list[Knob] = []
+def sliders_of(scenario: Scenario, begun: Scenario) -> list[Slider]:
+    """The sliders of a scenario; ranges of gains are about their initial values."""
+    found: list[Slider] = []
 
     def around(group: str, place: str, options: Section, first: Section, spread: float) -> None:
         if getattr(first, "kind", "") != getattr(options, "kind", ""):
@@ -70,53 +75,53 @@ def knobs_of(scenario: Scenario, begun: Scenario) -> list[Knob]:
         for key, label in options.knobs:
             if (centre := float(np.max(getattr(first, key)))) > 0.0:
                 ends = centre / spread, centre * spread
-                found.append(Knob(group, f"{place}.{key}", label, options.unit_of(key), *ends, logarithmic=True))
+                found.append(Slider(group, f"{place}.{key}", label, options.unit_of(key), *ends, logarithmic=True))
 
     tuner = ("tuner",) if scenario.controller.weighted else ()
     for name in ("controller", *tuner, "estimator"):
-        around("Gains", name, getattr(scenario, name), getattr(begun, name), _SPREAD)
+        around("Gains", name, getattr(scenario, name), getattr(begun, name), _GAIN_RANGE)
     most = 0.2 * float(scenario.robot.effort_limits.min())
-    found.append(Knob("Machine", "plant.motor_friction", "friction", "N m", 0.0, most))
-    found.append(Knob("Machine", "command_delay", "delay", "ticks", 0, 8, whole=True))
-    found.append(Knob("Belief", "model.friction.coulomb", "friction", "N m", 0.0, most))
-    found.append(Knob("Belief", "model.delay", "delay", "ticks", 0, 8, whole=True))
-    around("Machine", "motors", scenario.motors, begun.motors, _MOTORS_SPREAD)
+    found.append(Slider("Machine", "plant.motor_friction", "friction", "N m", 0.0, most))
+    found.append(Slider("Machine", "command_delay", "delay", "ticks", 0, 8, whole=True))
+    found.append(Slider("Belief", "model.friction.coulomb", "friction", "N m", 0.0, most))
+    found.append(Slider("Belief", "model.delay", "delay", "ticks", 0, 8, whole=True))
+    around("Machine", "motors", scenario.motors, begun.motors, _MOTOR_RANGE)
     if scenario.model.motors is not None:
-        around("Belief", "model.motors", scenario.model.motors, begun.motors, _MOTORS_SPREAD)
+        around("Belief", "model.motors", scenario.model.motors, begun.motors, _MOTOR_RANGE)
     return found
 
 
-def knob_value(scenario: Scenario, knob: Knob) -> float:
-    """Where a slider stands; of six motors the largest, and 0 where the section is not there."""
-    value: Any = scenario
-    for name in knob.key.split("."):
+def slider_value(scenario: Scenario, slider: Slider) -> float:
+    """Value of a slider: the largest of six motors; 0 if the section is missing."""
+    value: object = scenario
+    for name in slider.key.split("."):
         value = getattr(value, name, 0.0)
-    return float(np.max(value))
+    return float(np.max(np.asarray(value, dtype=float)))
 
 
-def turned(scenario: Scenario, knob: Knob, value: float) -> dict[str, Any]:
-    """What to change in the scenario where a slider goes to a value, which its range bounds."""
-    value = min(max(value, knob.low), knob.high)
-    if knob.key.startswith("model.friction.") and scenario.model.friction is None:
+def changes_of_slider(scenario: Scenario, slider: Slider, value: float) -> dict[str, Any]:
+    """Changes of the scenario for a slider at a value, clipped to its range."""
+    value = min(max(value, slider.low), slider.high)
+    if slider.key.startswith("model.friction.") and scenario.model.friction is None:
         return {"model.friction": {"coulomb": value}}
-    return {knob.key: round(value) if knob.whole else value}
+    return {slider.key: round(value) if slider.whole else value}
 
 
 # --- springs ---
 
 
 class Spring(NamedTuple):
-    """Pulls a point of the platform, (3,) [m] in P, towards a place (3,) [m] in B; the force has a largest size [N]."""
+    """Pulls a point of the platform, (3,) [m] in P, towards a place (3,) [m] in B, with a bounded force."""
 
     point: np.ndarray
     place: np.ndarray
-    most: float
-    length: float  # [m] at which it has its largest force.
+    largest: float  # [N]
+    length: float  # [m] stretch at the largest force.
 
     def force(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Place (3,) [m] of the point, and the force (3,) [N] there, in B."""
         at = pose[3:] + rotation_matrix(pose[:3]) @ self.point
-        return at, _stretched(self.place - at, self.length, self.most)
+        return at, _spring_force(self.place - at, self.length, self.largest)
 
     def wrench(self, pose: np.ndarray) -> np.ndarray:
         """(6,) [N m, N] about P, in B."""
@@ -125,48 +130,48 @@ class Spring(NamedTuple):
 
 
 class TurningSpring(NamedTuple):
-    """Turns the platform from how it was held, R_BP (3, 3), to another orientation, (3, 3), with a pure moment."""
+    """Turns the platform towards an orientation R_BP (3, 3) with a pure, bounded moment; `held` is where it began."""
 
     held: np.ndarray
-    wanted: np.ndarray
-    most: float  # [N m] of the moment.
+    target: np.ndarray
+    largest: float  # [N m]
 
     def moment(self, pose: np.ndarray) -> np.ndarray:
         """(3,) [N m] in B."""
-        off = self.wanted @ rotation_matrix(pose[:3]).T
-        way = 0.5 * np.array([off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]])
-        sine = float(np.linalg.norm(way))
+        off = self.target @ rotation_matrix(pose[:3]).T
+        axis = 0.5 * np.array([off[2, 1] - off[1, 2], off[0, 2] - off[2, 0], off[1, 0] - off[0, 1]])
+        sine = float(np.linalg.norm(axis))
         angle = math.atan2(sine, 0.5 * (off[0, 0] + off[1, 1] + off[2, 2] - 1.0))
-        return _stretched(way * (angle / sine if sine else 1.0), _TURN, self.most)
+        return _spring_force(axis * (angle / sine if sine else 1.0), _PULL_ANGLE, self.largest)
 
     def wrench(self, pose: np.ndarray) -> np.ndarray:
         """(6,) [N m, N] about P, in B."""
         return np.concatenate([self.moment(pose), np.zeros(3)])
 
 
-def _stretched(way: np.ndarray, length: float, most: float) -> np.ndarray:
-    """Force (3,) of a spring along a way (3,), in proportion to it up to a length."""
-    size = float(np.linalg.norm(way))
-    return np.asarray(way * (most / length) * min(1.0, length / size if size else 1.0))
+def _spring_force(stretch: np.ndarray, length: float, largest: float) -> np.ndarray:
+    """Force (3,) in proportion to a stretch (3,), up to `largest` at `length`."""
+    size = float(np.linalg.norm(stretch))
+    return np.asarray(stretch * (largest / length) * min(1.0, length / size if size else 1.0))
 
 
 def spring(robot: RobotParameters, gravity: float, point: np.ndarray, place: np.ndarray) -> Spring:
-    """A spring with which a hand can play without tripping the safety layer."""
-    stretch, share = _PULL
-    return Spring(point, place, share * largest(robot, gravity, FORCE), stretch * robot.characteristic_length)
+    """A spring to pull with that does not trip the safety layer."""
+    force = _FORCE_SHARE * largest(robot, gravity, FORCE)
+    return Spring(point, place, force, _PULL_LENGTH * robot.characteristic_length)
 
 
 def turning_spring(robot: RobotParameters, gravity: float, held: np.ndarray, turn: np.ndarray) -> TurningSpring:
-    """The same, which turns by a rotation vector (3,) [rad] in B."""
-    wanted = Rotation.from_rotvec(turn).as_matrix() @ held
-    return TurningSpring(held, wanted, _PULL[1] * largest(robot, gravity, MOMENT))
+    """The same that turns by a rotation vector (3,) [rad] in B."""
+    target = Rotation.from_rotvec(turn).as_matrix() @ held
+    return TurningSpring(held, target, _FORCE_SHARE * largest(robot, gravity, MOMENT))
 
 
 MOMENT, FORCE = slice(0, 3), slice(3, 6)  # Of a wrench.
 
 
 def largest(robot: RobotParameters, gravity: float, axes: slice) -> float:
-    """`MOMENT` [N m] or `FORCE` [N] along one axis at home for which motors have room, half of it left; two digits."""
+    """Half of the `MOMENT` [N m] or `FORCE` [N] along one axis that the motors can bear at home; two digits."""
     holds = static_torque(robot, robot.home_pose, gravity)
     per_unit = np.linalg.inv(pose_jacobian(robot, robot.home_pose)).T[:, axes]
     room = (robot.effort_limits - np.abs(holds))[:, None] / np.maximum(np.abs(per_unit), 1e-12)
@@ -176,22 +181,24 @@ def largest(robot: RobotParameters, gravity: float, axes: slice) -> float:
 # --- tests: a step, a sine ---
 
 
-class Probe:
-    """A step or a sine that is added to the reference of one coordinate, and what the loop made of it.
+class TestMotion:
+    """A step or a sine that is added to the reference of one coordinate, and the response.
 
-    `result` is a sentence once it is over.
+    `result` is a sentence once it is complete.
     """
+
+    __test__ = False  # Not a test of pytest.
 
     def __init__(self, kind: str, axis: int, size: float, frequency: float, start: float) -> None:
         self.kind, self.axis, self.size, self.start = kind, axis, size, start
         self.frequency = 2.0 * math.pi * frequency
-        self.duration = _WATCHED if kind == "step" else (_PERIODS + 1) / frequency
+        self.duration = _STEP_DURATION if kind == "step" else (_PERIODS + 1) / frequency
         self.times: list[float] = []
         self.values: list[float] = []
         self.result = ""
 
     def added(self, time: float) -> np.ndarray:
-        """Pose, rate and acceleration (18,) that it adds at a time [s]; of a step only the pose."""
+        """Pose, rate and acceleration (18,) to be added at a time [s]; a step has a pose only."""
         out, t = np.zeros(18), time - self.start
         if not 0.0 <= t <= self.duration:
             return out
@@ -199,7 +206,7 @@ class Probe:
             out[self.axis] = self.size
             return out
         w = self.frequency
-        # Over the first quarter of a period it grows, with a rate and an acceleration of its own left out.
+        # Grows over the first quarter of a period; the rate of this growth is left out.
         share = min(1.0, 4.0 * t * w / (2.0 * math.pi))
         out[self.axis] = share * self.size * math.sin(w * t)
         out[6 + self.axis] = share * self.size * w * math.cos(w * t)
@@ -207,7 +214,7 @@ class Probe:
         return out
 
     def watch(self, time: float, pose: np.ndarray, rest: float) -> None:
-        """Notes a pose (6,); `rest` is what is wanted of the coordinate without the test."""
+        """Takes a pose (6,) of the response; `rest` is the reference of the coordinate without the test."""
         if self.result or time < self.start:
             return
         self.times.append(time - self.start)
@@ -236,35 +243,35 @@ class Probe:
 
 
 class Recorder:
-    """What was wanted and what came lately, and the pushes and changes meanwhile; `step` is the plant's [s]."""
+    """Records the last reference, poses, torques, pushes and changes; `step` [s] is that of the plant."""
 
     def __init__(self, step: float) -> None:
-        self.every = max(1, round(_EVERY / step))
+        self.every = max(1, round(_RECORD_PERIOD / step))
         self.rows = Rows(side_by_side(_COLUMNS), round(_RECORDED / (self.every * step)))
         self.pushes: list[dict[str, Any]] = []
         self.changes: list[tuple[float, Mapping[str, Any]]] = []
 
-    def add(self, *values: Any) -> None:
-        """The `_COLUMNS` at every so many steps of the plant."""
+    def add(self, *values: float | np.ndarray) -> None:
+        """Adds a row of `_COLUMNS`; to be called every `every` steps of the plant."""
         self.rows.append(np.hstack(values))
 
     def save(self, folder: Path, scenario: Scenario) -> None:
-        """log.csv, motion.csv, and a scenario.yaml that repeats reference, pushes, dead motors and frozen encoders.
+        """Writes log.csv, motion.csv and a scenario.yaml that repeats reference, pushes, dead motors, frozen encoders.
 
-        Its other keys are as they are now.
+        All other keys have their present values.
         """
         if not self.rows:
             raise ConfigurationError("save", "no row", "a loop that has run")
         signals = self.rows.columns()
         begin, end = signals["time"][[0, -1]].tolist()
         signals["time"] -= begin
-        # The motion at a hundred rows a second: a spline goes through them.
+        # 100 rows per second, for a spline.
         rows = np.column_stack([signals["time"], signals["reference"]])
         rows = rows[:: max(1, round(0.01 / max(1e-6, float(np.median(np.diff(rows[:, 0]))))))]
         pushes = [
-            {"kind": "step", "wrench": each["wrench"], "time": each["time"] - begin, "until": until - begin}
-            for each in self.pushes
-            if each["time"] >= begin and (until := min(each["until"], end)) > each["time"]
+            {"kind": "step", "wrench": push["wrench"], "time": push["time"] - begin, "until": until - begin}
+            for push in self.pushes
+            if push["time"] >= begin and (until := min(push["until"], end)) > push["time"]
         ]
         changed = scenario.replace({"duration": float(max(end - begin, 0.1)), "disturbances": pushes})
         data = changed.to_dict()
@@ -272,9 +279,9 @@ class Recorder:
         began = {key: max(time - begin, 0.0) for time, change in self.changes for key in change}
         dead, frozen = data["motors"].get("dead"), data["sensors"].get("faults", [])
         for key, switched in (("motors.dead", [dead] if dead else []), ("sensors.faults", frozen)):
-            for each in switched:
-                each["time"] = began.get(key, each["time"])
-        lines = ["# What was done by hand. Keys are as they were at the end:"]
+            for fault in switched:
+                fault["time"] = began.get(key, fault["time"])
+        lines = ["# Recorded by hand. Keys have their values at the end:"]
         lines += [f"# At {time - begin:.2f} s: {dict(change)}" for time, change in self.changes if time >= begin]
         files = {
             "log.csv": SimulationLog(changed, signals).to_csv(),

@@ -1,4 +1,4 @@
-"""A loop that goes on for ever while a person changes it: target, pushes, payload, faults, controller."""
+"""A loop without end that a person changes while it runs: target, pushes, payload, faults, controller."""
 
 from __future__ import annotations
 
@@ -13,42 +13,47 @@ from stewart_drake.base.errors import one_line
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.disturbances import total_wrench
-from stewart_drake.live.instrument import Probe, Recorder, Spring, TurningSpring
-from stewart_drake.live.steering import GOVERNED, HandReference, Reached
+from stewart_drake.live.instrument import Recorder, Spring, TestMotion, TurningSpring
+from stewart_drake.live.steering import GOVERNOR_PERIOD, HandReference, Reached
 from stewart_drake.plant.plant_options import ANGLES
 from stewart_drake.safety import Stillness
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.scenario.stepped_loop import SteppedLoop
 
-PULLED = 0.02
-"""Share of the largest force by which a pull is followed in what is recorded."""
+PULL_RESOLUTION = 0.02  # Share of the largest force; a smaller change of a pull is not recorded.
 
 
 class LiveLoop:
     """The loop of a scenario on its plant, changed while it runs.
 
-    Every change but a new target and a push is a change of the scenario: its loop is built again, and each part that
-    is still there keeps its state, as the robot does. `reference` is the pose set by hand with the motion about it, and
-    `ended` says why the loop cannot go on; it is empty while it can. `spring` pulls or turns where there is one, `test`
-    is added to the reference, and `record` keeps what was done. `stillness` watches where no safety layer does.
+    Every change but a new target or a push changes the scenario. The loop is then rebuilt; parts that remain keep their
+    states, and so does the plant.
+
+    Attributes:
+        reference: Pose set by hand, with the motion of the scenario about it.
+        ended: Reason why the loop cannot go on; empty while it can.
+        spring: Pulls or turns the platform; may be None.
+        test: Motion that is added to the reference; may be None.
+        record: Recorder of motion, pushes and changes.
+        stillness: Monitor of standstill, for scenarios without a safety layer.
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        self._begun, self._loop = scenario, SteppedLoop(scenario)
+        self._initial, self._loop = scenario, SteppedLoop(scenario)
         self.reset()
 
     def reset(self) -> None:
-        """As at first."""
-        scenario = self._begun
+        """Back to the beginning."""
+        scenario = self._initial
         self.ended, self._push, self._push_ends = "", np.zeros(6), -1
         self.spring: Spring | TurningSpring | None = None
-        self.test: Probe | None = None
+        self.test: TestMotion | None = None
         self._pulled: dict[str, Any] | None = None
         self._step = on_grid(scenario.plant.time_step)
         self.record = Recorder(self._step)
-        self._looks = max(1, round(GOVERNED / self._step))
+        self._governor_steps = max(1, round(GOVERNOR_PERIOD / self._step))
         self._tick = max(1, round(scenario.controller.period / self._step))
-        self.stillness = Stillness(scenario.belief.robot, self._tick * self._step)
+        self.stillness = Stillness(scenario.controller_model.robot, self._tick * self._step)
         self.reference = HandReference(scenario.reference)
         self._loop = self._loop_of(scenario)
         self._loop.begin()
@@ -60,38 +65,38 @@ class LiveLoop:
         self._loop = loop
         self.record.changes.append((self.time, changes))
 
-    def beside(self, changes: Mapping[str, Any]) -> LiveLoop:
-        """Another loop that goes on from here, with other keys of the scenario, on a plant of its own."""
+    def copy_with(self, changes: Mapping[str, Any]) -> LiveLoop:
+        """A copy with a plant of its own that continues from here with other keys of the scenario."""
         other = LiveLoop(self.scenario)
         other._loop.take_over(self._loop)
-        other._begun, other.reference = self._begun, deepcopy(self.reference)
+        other._initial, other.reference = self._initial, deepcopy(self.reference)
         other.change(changes)
         return other
 
     def aim(self, pose: np.ndarray) -> Reached:
-        """Sends the hand to a pose (6,) [rad, m], or as far towards it as the robot can go."""
+        """Sets the goal to a pose (6,) [rad, m], or to the last feasible one on the straight path to it."""
         return self.reference.aim(self.scenario, pose)
 
     def move(self, on: bool) -> None:
-        """Lets the motion of the scenario come or go."""
+        """Switches the motion of the scenario on or off."""
         self.reference.share.target[0] = float(on)
 
     def push(self, wrench: np.ndarray, duration: float) -> None:
         """Pushes the platform from now on, for a duration [s]: wrench (6,) [N m, N], moment about P and force, in B."""
         self._push[:], self._push_ends = wrench, self.steps + round(duration / self._step)
-        self._note(wrench, duration)
+        self._record_push(wrench, duration)
 
     def advance(self, steps: int) -> None:
-        """Some steps of the plant; none once the loop has ended."""
+        """Advances by steps of the plant; does nothing once the loop has ended."""
         try:
             for _ in range(steps if not self.ended else 0):
                 self._advance_one()
-        except (Exception, SystemExit) as error:  # The page stays, to begin anew.
+        except (Exception, SystemExit) as error:  # The page stays open, so that a person can reset.
             self.ended = one_line(failure_of(error, self.scenario))
 
     def _advance_one(self) -> None:
-        self._note_pull()
-        if self.steps % self._looks == 0:
+        self._record_pull()
+        if self.steps % self._governor_steps == 0:
             self.reference.govern(self.scenario, self.time)
         self._loop.run_parts()
         if self.steps % self._tick == 0 and self.scenario.safety is None:
@@ -106,12 +111,12 @@ class LiveLoop:
 
     @property
     def scenario(self) -> Scenario:
-        """As changed until now."""
+        """The scenario with all changes."""
         return self._loop.scenario
 
     @property
     def steps(self) -> int:
-        """Of the plant, done since the beginning."""
+        """Steps of the plant since the beginning."""
         return self._loop.now
 
     @property
@@ -131,12 +136,12 @@ class LiveLoop:
 
     @property
     def wanted(self) -> np.ndarray:
-        """(6,) [rad, m] of the reference, at the instant of `pose`."""
+        """(6,) [rad, m] reference at the time of `pose`."""
         return self._wanted(self.steps)[:6]
 
     @property
     def torque(self) -> np.ndarray:
-        """(6,) [N m] as the motors give it."""
+        """(6,) [N m] of the motors."""
         return self._loop.torque.copy()
 
     @property
@@ -145,24 +150,24 @@ class LiveLoop:
         return self.steps < self._push_ends
 
     def logged(self, name: str) -> np.ndarray | None:
-        """A signal by its name in a log, such as `setting`; None where the loop has none."""
+        """A signal by its name in a log, such as `setting`; None if the loop has none."""
         signal = self._loop.parts.logged.get(name)
         return self._loop.runner.signal(signal).copy() if isinstance(signal, str) else signal
 
-    def _note(self, wrench: np.ndarray, duration: float) -> dict[str, Any]:
+    def _record_push(self, wrench: np.ndarray, duration: float) -> dict[str, Any]:
         self.record.pushes.append({"wrench": wrench.tolist(), "time": self.time, "until": self.time + duration})
         return self.record.pushes[-1]
 
-    def _note_pull(self) -> None:
-        """A pull as steps, a new one where the force has changed by `PULLED` of its largest."""
+    def _record_pull(self) -> None:
+        """Records a pull as steps, a new one once the force has changed by `PULL_RESOLUTION`."""
         wrench = np.zeros(6) if self.spring is None else self.spring.wrench(self._loop.pose)
         if (before := self._pulled) is not None:
             if self.spring is not None:
                 changed = float(np.linalg.norm(wrench - before["wrench"]))
-                if changed <= PULLED * self.spring.most:
+                if changed <= PULL_RESOLUTION * self.spring.largest:
                     return
             before["until"] = self.time
-        self._pulled = None if self.spring is None else self._note(wrench, math.inf)
+        self._pulled = None if self.spring is None else self._record_push(wrench, math.inf)
 
     def _wanted(self, step: int, ahead: float = 0.0) -> np.ndarray:
         """(18,) pose, rate and acceleration at a step of the plant, or `ahead` [s] from it."""
@@ -171,7 +176,7 @@ class LiveLoop:
         return wanted if self.test is None else wanted + self.test.added(time)
 
     def _loop_of(self, scenario: Scenario) -> SteppedLoop:
-        """The loop of a scenario, on the plant that there is where it would be the same."""
+        """The loop of a scenario; the plant is kept if its keys are the same."""
         plant = self._loop.plant if _plant_keys(scenario) == _plant_keys(self.scenario) else None
         ahead = scenario.preview
         pushes = scenario.disturbances
@@ -189,5 +194,5 @@ class LiveLoop:
 
 
 def _plant_keys(scenario: Scenario) -> tuple[Any, ...]:
-    """What a plant is made of."""
+    """Keys that make the plant."""
     return scenario.robot, scenario.plant, scenario.gravity

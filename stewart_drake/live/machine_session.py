@@ -1,4 +1,4 @@
-"""A page that steers a machine: `Drive` moves it, with its guards; the page shows it, and the wanted robot pale."""
+"""A page that steers a machine through `Drive`; it shows the machine and, pale, its reference."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError, one_line
-from stewart_drake.live.session import SLICE, PageSession, drawn, six_of
+from stewart_drake.live.session import SLICE, PageSession, as_six, drawn
 from stewart_drake.live.steering import HandReference, nearest_allowed
 from stewart_drake.logs.log import MAX_ROWS
 from stewart_drake.machines.machine import Machine
@@ -19,16 +19,15 @@ from stewart_drake.references.paced import RAMP, PacedMotion
 from stewart_drake.runs.drive import Drive, Start, as_logged
 from stewart_drake.scenario.scenario import Scenario
 
-BANDWIDTH = 3.0
-"""[rad/s] of the filter behind the sliders: a move is over after about three seconds."""
-KEPT = 1000  # Rows that memory keeps.
-LAST_ROW = 0.5  # [s] for pages to read how it ended.
+BANDWIDTH = 3.0  # [rad/s] of the filter behind the sliders: a move takes about three seconds.
+ROWS_IN_MEMORY = 1000
+LAST_ROW = 0.5  # [s] for pages to read the last row.
 
 
 class MachineSession(PageSession):
-    """Drives a connected machine until it is stopped, and tells in rows how things are, from a thread of its own.
+    """Drives a connected machine until it is stopped; publishes rows from another thread.
 
-    The motion of the scenario, about a pose that a hand sets, ends after the scenario's duration: no more was checked.
+    The motion of the scenario, about a pose set by hand, ends after the scenario's duration: no more was checked.
     """
 
     def __init__(self, scenario: Scenario, machine: Machine, start: Start) -> None:
@@ -37,23 +36,23 @@ class MachineSession(PageSession):
         self._hand = HandReference(scenario.reference, BANDWIDTH)
         self._motion = PacedMotion(self._hand, start.pose, start.motion.approach)
         own = start._replace(motion=self._motion, duration=min(MAX_ROWS * scenario.reading_period, 1e6))
-        self._drive, self._motors = Drive(scenario, machine, own, most=KEPT), scenario.belief.motors
+        self._drive, self._motors = Drive(scenario, machine, own, most=ROWS_IN_MEMORY), scenario.controller_model.motors
         self._pose, self._ended = start.pose, ""
         self._do = {"aim": self._aim, "move": self._move, "stop": lambda _: self._drive.stop()}
         self.row()  # Compiles.
 
     @property
     def home(self) -> np.ndarray:
-        """(6,) [rad, m] where the motion begins."""
+        """(6,) [rad, m] at the beginning."""
         return self._hand.home
 
     def run(self) -> RunFailure | KeyboardInterrupt | None:
-        """Until Ctrl-C, a stop on the page, or what ends a `Drive`; why."""
+        """Runs until Ctrl-C, a stop on the page, or the end of the `Drive`; returns the reason."""
         over = threading.Event()
         shown = threading.Thread(target=self._show, args=(over,), daemon=True)
         shown.start()
         try:
-            why = self._drive.go(self._go_on)
+            why = self._drive.go(self._advance)
         finally:
             over.set()
             shown.join()
@@ -62,7 +61,7 @@ class MachineSession(PageSession):
         time.sleep(LAST_ROW)
         return why
 
-    def _go_on(self, now: float) -> None:
+    def _advance(self, now: float) -> None:
         own = self._motion.own_time(now)
         self._hand.advance(own)
         if own > self.scenario.duration - RAMP:
@@ -74,11 +73,11 @@ class MachineSession(PageSession):
                 self.obey()
                 self._hand.govern(self.scenario, self._motion.own_time(self._drive.time))
                 self.publish(self.row())
-            except Exception as error:  # Who has no picture can stop it still.
+            except Exception as error:  # Without a picture the machine can still be stopped.
                 self.message = one_line(error)
 
     def _aim(self, command: Mapping[str, Any]) -> None:
-        reached = self._hand.aim(self.scenario, six_of(command["pose"]))
+        reached = self._hand.aim(self.scenario, as_six(command["pose"]))
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
@@ -87,14 +86,14 @@ class MachineSession(PageSession):
         if on and self._motion.own_time(self._drive.time) > scenario.duration - 2.0 * RAMP:
             raise ConfigurationError("motion", "on", f"off after the scenario's duration, {scenario.duration:g} s")
         if on:
-            # Where the hand has gone meanwhile, the motion may not be possible.
+            # The motion may be infeasible about the present pose.
             of = scenario.robot, scenario.limits, self.home, reference.goal, scenario.gravity
             if limit := nearest_allowed(*of, reference.excursions(scenario.duration, on=True)).limit:
                 raise ConfigurationError("motion", "on", f"off here: {limit}")
         reference.share.target = np.array([float(on)])
 
     def row(self) -> dict[str, Any]:
-        """What the page shows of the latest tick."""
+        """State for the page at the latest tick."""
         drive, robot, target = self._drive, self.scenario.robot, self._hand.goal
         row = {
             "session": self.name,

@@ -1,4 +1,4 @@
-"""The page of a live session: served to this machine alone, and to no page but its own."""
+"""HTTP server of the live page: for this computer only, and for no other web page."""
 
 from __future__ import annotations
 
@@ -17,29 +17,28 @@ from stewart_drake.base.errors import StewartDrakeError
 from stewart_drake.live.session import PageSession
 
 PORTS = range(8000, 8100)
-PATIENCE = 10.0
-"""[s] that another end may take to send or to read what is due."""
-MOST_PAGES, MOST_BYTES, MOST_UNREAD = 4, 10_000, 65_536
-"""Pages that listen at a time, of the six connections that a browser opens to a server: commands need some. Bytes of
-a command, and bytes that the system keeps for a page which does not read."""
+TIMEOUT = 10.0  # [s] of a connection that neither sends nor reads.
+MAX_PAGES = 4  # A browser opens six connections to a server; commands need some of them.
+MAX_COMMAND = 10_000  # [byte]
+SEND_BUFFER = 65_536  # [byte] for a page that reads slowly.
 _TYPES = {"html": "text/html; charset=utf-8", "js": "text/javascript; charset=utf-8", "css": "text/css"}
 _FILES = {page.name: page for page in (files("stewart_drake") / "pages").iterdir()}
 
 
 class LiveServer:
-    """Serves the page at `url`, its events and its commands from threads of its own.
+    """Serves the page at `url`, its events and its commands, in background threads.
 
-    `about` is what the page has to know before the first row.
+    `about` describes the robot for the page; it is sent once.
     """
 
     def __init__(self, session: PageSession, about: Mapping[str, Any], port: int | None = None) -> None:
         handler = type("Handler", (_Handler,), {"session": session, "about": about})
-        self._server = _first_free(handler, PORTS if port is None else range(port, port + 1))
+        self._server = _bind(handler, PORTS if port is None else range(port, port + 1))
         self.url = f"http://localhost:{self._server.server_port}/"
         threading.Thread(target=self._server.serve_forever, args=(0.05,), daemon=True).start()
 
     def close(self) -> None:
-        """Ends it."""
+        """Stops the server."""
         self._server.open = False
         self._server.shutdown()
         self._server.server_close()
@@ -50,15 +49,15 @@ class _Server(ThreadingHTTPServer):
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
-        self.pages = threading.Semaphore(MOST_PAGES)
+        self.pages = threading.Semaphore(MAX_PAGES)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Nothing where the other end was closed while it asked, or did not read."""
+        """Ignores connections that were closed or timed out."""
         if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
             super().handle_error(request, client_address)
 
 
-def _first_free(handler: type[BaseHTTPRequestHandler], ports: range) -> _Server:
+def _bind(handler: type[BaseHTTPRequestHandler], ports: range) -> _Server:
     for port in ports:
         try:
             return _Server(("127.0.0.1", port), handler)
@@ -72,23 +71,23 @@ class _Handler(BaseHTTPRequestHandler):
     session: PageSession
     about: Mapping[str, Any]
     server: _Server
-    timeout = PATIENCE
+    timeout = TIMEOUT
 
     def parse_request(self) -> bool:
-        """Refuses who comes by another name than this machine's own, or from a page of another origin."""
+        """Refuses requests to another host name than this computer's, and from pages of another origin."""
         if not super().parse_request():
             return False
         host, site = self.headers.get("Host", ""), self.headers.get("Sec-Fetch-Site", "none")
-        ours = host.rpartition(":")[0] in ("localhost", "127.0.0.1")
-        ours &= self.headers.get("Origin", f"http://{host}") == f"http://{host}"
-        # A link may lead from anywhere to the page, and to nothing else.
-        ours &= site in ("none", "same-origin") or self.path == "/"
-        if not ours:
+        allowed = host.rpartition(":")[0] in ("localhost", "127.0.0.1")
+        allowed &= self.headers.get("Origin", f"http://{host}") == f"http://{host}"
+        # Links from elsewhere may open the page, and nothing else.
+        allowed &= site in ("none", "same-origin") or self.path == "/"
+        if not allowed:
             self.send_error(HTTPStatus.FORBIDDEN)
-        return ours
+        return allowed
 
     def do_GET(self) -> None:
-        """The page and its files, what it shows, and the rows as server-sent events."""
+        """The page, its files, and the rows as server-sent events."""
         name = self.path.lstrip("/") or "live.html"
         if name == "events":
             self._stream()
@@ -100,7 +99,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.NOT_FOUND)
 
     def do_POST(self) -> None:
-        """A command; its number is the answer."""
+        """Takes a command; answers with its number."""
         length = self.headers.get("Content-Length", "")
         if self.path != "/do":
             self.send_error(HTTPStatus.NOT_FOUND)
@@ -109,11 +108,11 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.UNSUPPORTED_MEDIA_TYPE)
         elif not length.isdecimal():
             self.send_error(HTTPStatus.LENGTH_REQUIRED)
-        elif len(length) > len(str(MOST_BYTES)) or int(length) > MOST_BYTES:
+        elif len(length) > len(str(MAX_COMMAND)) or int(length) > MAX_COMMAND:
             self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE)
         else:
             try:
-                number = self.session.tell(json.loads(self.rfile.read(int(length))))
+                number = self.session.put(json.loads(self.rfile.read(int(length))))
             except (ValueError, RecursionError):
                 self.send_error(HTTPStatus.BAD_REQUEST)
             except queue.Full:
@@ -122,10 +121,10 @@ class _Handler(BaseHTTPRequestHandler):
                 self._answer(json.dumps({"number": number}).encode(), "application/json")
 
     def log_message(self, *_: Any) -> None:
-        """Nothing."""
+        """Logs nothing."""
 
     def end_headers(self) -> None:
-        """With what keeps other pages from framing this one, and this one from loading anything from elsewhere."""
+        """Adds headers against framing by other pages and loading from elsewhere."""
         self.send_header("Content-Security-Policy", "default-src 'self'; img-src data:; frame-ancestors 'none'")
         self.send_header("Cache-Control", "no-store")
         super().end_headers()
@@ -142,13 +141,13 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE)
             return
         try:
-            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, MOST_UNREAD)
+            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
             self.send_response(HTTPStatus.OK)
             self.send_header("Content-Type", "text/event-stream")
             self.end_headers()
             count = 0
             while self.server.open:
-                # While the loop is busy, a remark finds out whether the page is still there.
+                # While the loop is busy, a comment checks that the page is still connected.
                 count, rows = self.session.rows_after(count, 1.0)
                 self.wfile.write("".join(f"data: {row}\n\n" for row in rows).encode() or b": busy\n\n")
         finally:

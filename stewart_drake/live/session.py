@@ -1,4 +1,4 @@
-"""A live loop in real time: what the browser asks for goes in, what it draws comes out."""
+"""A live loop in real time: commands of the browser in, rows to draw out."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, one
 from stewart_drake.base.real_time import Pace
 from stewart_drake.base.tables import COORDINATES
 from stewart_drake.live.instrument import (
-    Probe,
     Spring,
+    TestMotion,
     TurningSpring,
-    as_instrument,
-    knob_value,
-    knobs_of,
+    changes_of_slider,
+    for_live_page,
+    slider_value,
+    sliders_of,
     spring,
-    turned,
     turning_spring,
 )
 from stewart_drake.live.loop import LiveLoop
@@ -36,9 +36,8 @@ from stewart_drake.runs.scene import link_poses
 from stewart_drake.safety import standstill_text
 from stewart_drake.scenario.scenario import Scenario
 
-SLICE, LATEST = 0.02, 0.5
-"""[s] of simulated time between two looks at the clock and at what the browser asks for; [s] behind the clock from
-which on the loop gives up catching up: the robot then runs slower than it should."""
+SLICE = 0.02  # [s] of simulated time between two rows; commands are handled in between.
+MAX_LATENESS = 0.5  # [s] A loop that is later does not catch up: it then runs slower than real time.
 CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
     "as in the scenario": {},
     "LQI, exact model": {
@@ -49,14 +48,14 @@ CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
     "PID of each motor": {"controller": "pid"},
     "computed torque": {"controller": "computed_torque"},
 }
-"""What can be chosen in the panel: name -> scenario key -> value."""
-LARGEST = 1e6  # Number that a page may send.
-ROWS_KEPT, COMMANDS_KEPT = 50, 200
-"""Rows that a page may be late, one that reads more slowly misses some; commands that may wait for the loop."""
+"""Controllers of the panel: name -> scenario key -> value."""
+LARGEST = 1e6  # Largest number that a page may send.
+ROWS_KEPT = 50  # A page that is later misses rows.
+COMMANDS_KEPT = 200  # Commands that may wait for the loop.
 
 
 class PageSession:
-    """What pages and a loop say to each other, from any thread: commands in, rows out."""
+    """Commands from pages to a loop and rows from the loop to pages; usable from any thread."""
 
     def __init__(self) -> None:
         self.name, self.message = secrets.token_hex(4), ""
@@ -64,25 +63,25 @@ class PageSession:
         self._received = self._obeyed = 0
         self._rows: deque[str] = deque(maxlen=ROWS_KEPT)
         self._published, self._news, self._receiving = 0, threading.Condition(), threading.Lock()
-        # What asks can name no key of the scenario, and so no code, file or other robot.
+        # A page cannot name keys of the scenario, and so no code, file or other robot.
         self._do: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {}
 
-    def tell(self, command: Any) -> int:
-        """Hands over a command from any thread; its number, which rows have once obeyed; queue.Full if many wait."""
+    def put(self, command: Any) -> int:
+        """Queues a command; returns its number, which rows repeat once it is done. Raises queue.Full."""
         with self._receiving:
             self._commands.put_nowait((self._received + 1, command))
             self._received += 1
             return self._received
 
     def rows_after(self, count: int, timeout: float) -> tuple[int, list[str]]:
-        """How many rows there were, and those kept after the first `count`, as JSON; waits for one up to a time [s]."""
+        """Count of rows so far, and those after the first `count` as JSON; waits for one up to `timeout` [s]."""
         with self._news:
             self._news.wait_for(lambda: self._published > count, timeout)
             late = min(self._published - count, len(self._rows))
             return self._published, list(self._rows)[len(self._rows) - late :]
 
     def obey(self) -> None:
-        """Does what has been asked for."""
+        """Executes the queued commands."""
         while not self._commands.empty():
             self._obey(*self._commands.get())
 
@@ -96,8 +95,8 @@ class PageSession:
             self.message = f"not understood: {one_line(error)}"
 
     def publish(self, row: Mapping[str, Any]) -> None:
-        """Tells pages how things are."""
-        # A number that is not finite is null: JSON has none, and a page that cannot read a row stands still.
+        """Publishes a row to the pages."""
+        # Numbers that are not finite become null, as JSON has none.
         text = json.dumps(plain_json(row))
         with self._news:
             self._rows.append(text)
@@ -106,31 +105,33 @@ class PageSession:
 
 
 class LiveSession(PageSession):
-    """Paces a `LiveLoop` by the clock, answers commands, and tells in rows, some 50 a second, how things are."""
+    """Runs a `LiveLoop` in real time, executes commands, and publishes 50 rows per second."""
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__()
-        scenario = as_instrument(scenario)
+        scenario = for_live_page(scenario)
         self.loop = LiveLoop(scenario)
         self.ghost: LiveLoop | None = None
-        self._ghosts, self.speed, self._test, self._begun = "", 1.0, "", scenario
+        self._ghosts, self.speed, self._test, self._initial = "", 1.0, "", scenario
         self._knobs: tuple[Scenario | None, list[dict[str, Any]]] = (None, [])
-        self._own = {key: value for key, value in scenario.to_dict().items() if key in ("controller", "tuner")}
+        self._scenario_choice = {
+            key: value for key, value in scenario.to_dict().items() if key in ("controller", "tuner")
+        }
         self.paused, self.factor, self._controller = False, 1.0, next(iter(CONTROLLERS))
         self._do = {
             "aim": self._aim,
-            "move": lambda command: self._each(lambda loop: loop.move(bool(command["on"]))),
+            "move": lambda command: self._for_all(lambda loop: loop.move(bool(command["on"]))),
             "push": self._push,
             "pull": self._pull,
             "turn": self._turn,
             "release": self._release,
             "payload": lambda command: self._change({"plant.payload_mass": _number(command["mass"])}),
-            "dead": lambda command: self._change({"motors.dead": _of_leg(command["leg"])}),
+            "dead": lambda command: self._change({"motors.dead": _leg_key(command["leg"])}),
             "freeze": self._freeze,
             "kappa": lambda command: self.loop.change({"tuner.kappa": _number(command["value"])}),
             "knob": self._set_knob,
             "controller": self._choose,
-            "ghost": self._haunt,
+            "ghost": self._add_ghost,
             "test": self._begin_test,
             "pause": self._pause,
             "step": self._one_tick,
@@ -140,14 +141,14 @@ class LiveSession(PageSession):
         }
 
     def run(self, until: float = np.inf) -> None:
-        """Runs for some seconds of the clock [s]; by default until KeyboardInterrupt."""
-        loop, began, pace = self.loop, time.monotonic(), Pace(SLICE, LATEST)
+        """Runs for some time [s]; by default until KeyboardInterrupt."""
+        loop, began, pace = self.loop, time.monotonic(), Pace(SLICE, MAX_LATENESS)
         steps = max(1, round(SLICE / loop.scenario.plant.time_step))
         window = (began, loop.time)
         while time.monotonic() - began < until:
             self.obey()
             if not self.paused:
-                self._each(lambda loop: loop.advance(max(1, round(steps * self.speed))))
+                self._for_all(lambda loop: loop.advance(max(1, round(steps * self.speed))))
             pace.advance()
             if (now := time.monotonic()) - window[0] >= 1.0:
                 self.factor = (loop.time - window[1]) / (now - window[0])
@@ -156,77 +157,77 @@ class LiveSession(PageSession):
             pace.wait()
 
     def _aim(self, command: Mapping[str, Any]) -> None:
-        reached = self.loop.aim(six_of(command["pose"]))
+        reached = self.loop.aim(as_six(command["pose"]))
         if self.ghost is not None:
             self.ghost.reference.goal = reached.pose
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
-    def _each(self, do: Callable[[LiveLoop], Any]) -> None:
-        """For the robot and for its ghost."""
+    def _for_all(self, do: Callable[[LiveLoop], Any]) -> None:
+        """Applies a function to the robot and, if there is one, to its ghost."""
         for loop in filter(None, (self.loop, self.ghost)):
             do(loop)
 
     def _change(self, changes: Mapping[str, Any]) -> None:
-        self._each(lambda loop: loop.change(changes))
+        self._for_all(lambda loop: loop.change(changes))
 
     def _push(self, command: Mapping[str, Any]) -> None:
-        wrench, duration = six_of(command["wrench"]), _number(command["duration"])
+        wrench, duration = as_six(command["wrench"]), _number(command["duration"])
         self._touch()
-        self._each(lambda loop: loop.push(wrench, duration))
+        self._for_all(lambda loop: loop.push(wrench, duration))
 
     def _pull(self, command: Mapping[str, Any]) -> None:
-        """`point` (3,) [m] of the platform, in P, towards `place` (3,) [m] in B."""
+        """Pulls `point` (3,) [m] of the platform, in P, towards `place` (3,) [m] in B."""
         point, place = (_numbers(command[name], 3) for name in ("point", "place"))
         self._hold(spring(self.loop.scenario.robot, self.loop.scenario.gravity, point, place))
 
     def _turn(self, command: Mapping[str, Any]) -> None:
-        """By `turn` (3,) [rad], a rotation vector in B, from how the platform stood when the hand took it."""
+        """Turns by `turn` (3,) [rad], a rotation vector in B, from the orientation at the start of the pull."""
         scenario, before = self.loop.scenario, self.loop.spring
         held = before.held if isinstance(before, TurningSpring) else rotation_matrix(self.loop.pose[:3])
         self._hold(turning_spring(scenario.robot, scenario.gravity, held, _numbers(command["turn"], 3)))
 
     def _hold(self, by: Spring | TurningSpring) -> None:
         self._touch()
-        self._each(lambda loop: setattr(loop, "spring", by))
+        self._for_all(lambda loop: setattr(loop, "spring", by))
 
     def _touch(self) -> None:
-        """A hand at the rim loads one motor as a wrong one does, so the safety layer no longer looks for those."""
+        """Switches off the monitor of motors: a hand at the rim loads one motor as a fault would."""
         safety = self.loop.scenario.safety
         if safety is not None and safety.unexplained_torque is not None:
             self._change({"safety.unexplained_torque": None})
             self.message = "a hand acts on it: safety.unexplained_torque is off until Reset"
 
     def _release(self, _: Mapping[str, Any]) -> None:
-        self._each(lambda loop: setattr(loop, "spring", None))
+        self._for_all(lambda loop: setattr(loop, "spring", None))
 
     def _set_knob(self, command: Mapping[str, Any]) -> None:
-        """A slider: only keys that the panel has, within their range; of the controller's side not the ghost's."""
-        knobs, key = {each.key: each for each in knobs_of(self.loop.scenario, self._begun)}, command["key"]
-        if (knob := knobs.get(key)) is None:
-            raise ConfigurationError("slider", key, f"one that there is now: {', '.join(knobs)}")
-        change = turned(self.loop.scenario, knob, _number(command["value"]))
-        (self._change if knob.group == "Machine" else self.loop.change)(change)
+        """Sets a slider. Gains and model of the ghost stay."""
+        sliders, key = {slider.key: slider for slider in sliders_of(self.loop.scenario, self._initial)}, command["key"]
+        if (slider := sliders.get(key)) is None:
+            raise ConfigurationError("slider", key, f"one that there is now: {', '.join(sliders)}")
+        change = changes_of_slider(self.loop.scenario, slider, _number(command["value"]))
+        (self._change if slider.group == "Machine" else self.loop.change)(change)
 
-    def _haunt(self, command: Mapping[str, Any]) -> None:
-        """A second robot beside the first, with another controller; from where the first is."""
+    def _add_ghost(self, command: Mapping[str, Any]) -> None:
+        """Adds a second robot with another controller, in the state of the first, or removes it."""
         name = command["controller"]
         self.ghost, self._ghosts = None, ""
         if name is not None:
-            self.ghost, self._ghosts = self.loop.beside({**self._own, **CONTROLLERS[name]}), name
+            self.ghost, self._ghosts = self.loop.copy_with({**self._scenario_choice, **CONTROLLERS[name]}), name
 
     def _begin_test(self, command: Mapping[str, Any]) -> None:
         axis, robot = COORDINATES.index(command["axis"]), self.loop.scenario.robot
         size = 0.01 * (1.0 if axis < 3 else robot.characteristic_length)
         frequency = min(max(_number(command.get("frequency", 1.0)), 0.2), 20.0)
         kind = "step" if command["kind"] == "step" else "sine"
-        self._each(lambda loop: setattr(loop, "test", Probe(kind, axis, size, frequency, loop.time)))
+        self._for_all(lambda loop: setattr(loop, "test", TestMotion(kind, axis, size, frequency, loop.time)))
         at = f", {frequency:g} Hz" if kind == "sine" else ""
         self._test = f"{kind} of {COORDINATES[axis]}{at}: under way"
 
     def _one_tick(self, _: Mapping[str, Any]) -> None:
         self.paused = True
-        self._each(lambda loop: loop.advance(round(loop.scenario.controller.period / loop.scenario.plant.time_step)))
+        self._for_all(lambda loop: loop.advance(round(loop.scenario.controller.period / loop.scenario.plant.time_step)))
 
     def _set_speed(self, command: Mapping[str, Any]) -> None:
         self.speed = min(max(_number(command["value"]), 0.1), 2.0)
@@ -238,11 +239,11 @@ class LiveSession(PageSession):
         self.message = f"saved in {folder}: log.csv, and scenario.yaml, with motion, pushes and the last settings"
 
     def _freeze(self, command: Mapping[str, Any]) -> None:
-        leg = _of_leg(command["leg"])
+        leg = _leg_key(command["leg"])
         self._change({"sensors.faults": [] if leg is None else [{"kind": "freeze", **leg}]})
 
     def _choose(self, command: Mapping[str, Any]) -> None:
-        self.loop.change({**self._own, **CONTROLLERS[command["name"]]})
+        self.loop.change({**self._scenario_choice, **CONTROLLERS[command["name"]]})
         self._controller = command["name"]
 
     def _pause(self, command: Mapping[str, Any]) -> None:
@@ -256,14 +257,17 @@ class LiveSession(PageSession):
     def _knob_rows(self) -> list[dict[str, Any]]:
         scenario = self.loop.scenario
         if self._knobs[0] is not scenario:
-            knobs = knobs_of(scenario, self._begun)
-            self._knobs = scenario, [{**each._asdict(), "value": knob_value(scenario, each)} for each in knobs]
+            sliders = sliders_of(scenario, self._initial)
+            self._knobs = (
+                scenario,
+                [{**slider._asdict(), "value": slider_value(scenario, slider)} for slider in sliders],
+            )
         return self._knobs[1]
 
     def row(self) -> dict[str, Any]:
-        """What the browser shows of this instant: robot, loop, and everything that a panel can set."""
+        """State for the browser: robot, loop, and all settings of the panel."""
         loop, scenario = self.loop, self.loop.scenario
-        robots = [(each.pose, each.crank_angles) for each in (loop, self.ghost) if each is not None]
+        robots = [(robot.pose, robot.crank_angles) for robot in (loop, self.ghost) if robot is not None]
         pull = moment = None
         if isinstance(loop.spring, TurningSpring):
             moment = loop.spring.moment(loop.pose)
@@ -307,10 +311,10 @@ class LiveSession(PageSession):
 
 
 def drawn(robot: RobotParameters, wanted: np.ndarray, *robots: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
-    """Pose, errors and links of a robot, by its pose (6,) and crank angles (6,), and links of a second one, pale."""
-    links = [link_poses(robot, *each, wanted) if np.isfinite(each).all() else np.empty((0, 7)) for each in robots]
-    # The disc of the reference comes once.
-    flat = np.concatenate([links[0], *(each[:-1] for each in links[1:])]).round(6).ravel() if len(links[0]) else None
+    """Pose, errors and links of a robot by pose (6,) and crank angles (6,), and links of a second one."""
+    links = [link_poses(robot, *state, wanted) if np.isfinite(state).all() else np.empty((0, 7)) for state in robots]
+    # The disc of the reference is drawn once.
+    flat = np.concatenate([links[0], *(link[:-1] for link in links[1:])]).round(6).ravel() if len(links[0]) else None
     return {"pose": robots[0][0], **_errors(robots[0][0], wanted), "links": flat}
 
 
@@ -322,16 +326,16 @@ def _errors(pose: np.ndarray, wanted: np.ndarray) -> dict[str, float]:
     }
 
 
-def _of_leg(leg: Any) -> dict[str, int] | None:
+def _leg_key(leg: object) -> dict[str, int] | None:
     return None if leg is None else {"leg": int(_number(leg))}
 
 
-def six_of(values: Any) -> np.ndarray:
-    """Six numbers up to `LARGEST`; else a ValueError."""
+def as_six(values: object) -> np.ndarray:
+    """Six numbers up to `LARGEST`; ValueError otherwise."""
     return _numbers(values, 6)
 
 
-def _numbers(values: Any, count: int) -> np.ndarray:
+def _numbers(values: object, count: int) -> np.ndarray:
     numbers = np.array(values, dtype=float).reshape(count)
     if not (np.abs(numbers) <= LARGEST).all():
         raise ValueError(f"{numbers} is no number up to {LARGEST:g}")

@@ -11,7 +11,7 @@ from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.machine_session import MachineSession
 from stewart_drake.live.server import LiveServer
 from stewart_drake.live.session import CONTROLLERS, LiveSession
-from stewart_drake.live.steering import FARTHEST, nearest_allowed
+from stewart_drake.live.steering import REACH, nearest_allowed
 from stewart_drake.machines.machine import Machine
 from stewart_drake.runs.drive import Start
 from stewart_drake.runs.scene import robot_scene
@@ -19,8 +19,8 @@ from stewart_drake.scenario.scenario import Scenario
 
 
 def start_live(scenario: Scenario, port: int | None = None) -> tuple[LiveSession, LiveServer]:
-    """A session to `run`, and its server to `close`; `port` of this machine, None for the first that is free."""
-    # Compiled here, none of the panel's controllers makes the robot wait.
+    """A session to `run` and a server to `close`; `port` of this computer, None for the first free one."""
+    # Compiles all controllers of the panel, so that none makes the robot wait.
     warm = LiveLoop(scenario)
     for changes in CONTROLLERS.values():
         warm.change(changes)
@@ -34,7 +34,7 @@ def start_live(scenario: Scenario, port: int | None = None) -> tuple[LiveSession
 
 
 def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> dict[str, Any]:
-    """What the page has to know of a robot before its first row; sliders begin at `home` (6,)."""
+    """Description of a robot for the page; sliders begin at `home` (6,)."""
     robot = scenario.robot
     return {
         "name": scenario.name,
@@ -52,7 +52,7 @@ def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> di
 def start_machine(
     scenario: Scenario, machine: Machine, start: Start, url: str, port: int | None = None
 ) -> tuple[MachineSession, LiveServer]:
-    """The same for a connected machine, which the page steers."""
+    """The same for a connected machine that the page steers."""
     session = MachineSession(scenario, machine, start)
     about = about_robot(session.scenario, session.home, ghost=True)
     about |= {"session": session.name, "machine": url, "controllers": []}
@@ -60,12 +60,12 @@ def start_machine(
 
 
 def _room(scenario: Scenario, home: np.ndarray) -> np.ndarray:
-    """(6,) [rad, m] how far each axis alone can go from a pose, in its freer direction."""
+    """(6,) [rad, m] largest feasible distance along one axis from a pose, in either direction."""
     room = np.zeros(6)
     for axis in range(6):
         for sign in (1.0, -1.0):
             wanted = home.copy()
-            wanted[axis] += sign * FARTHEST[axis]
+            wanted[axis] += sign * REACH[axis]
             end = nearest_allowed(
                 scenario.robot, scenario.limits, home, wanted, scenario.gravity, np.zeros((1, 6))
             ).pose

@@ -1,4 +1,4 @@
-"""What a hand on a slider becomes: a smooth reference, kept within what the robot can do."""
+"""A smooth reference from a pose set by hand, kept within the limits by a reference governor."""
 
 from __future__ import annotations
 
@@ -15,25 +15,21 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.limits import PLACES, ReferenceLimits, limit_margins
 from stewart_drake.scenario.scenario import Scenario
 
-BANDWIDTH = 8.0
-"""[rad/s] of the filter behind the sliders: a move is over after about a second."""
-FARTHEST = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
-"""[rad, m] from where the motion begins, within which a pose may be asked for."""
-APART = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])
-"""[rad, m] between two poses that are checked, at most."""
-CRANK_SPEED = 2.0
-"""[rad/s] of the fastest crank at which a hand moves the robot."""
-GOVERNED = 0.02
-"""[s] between two looks at how far the hand may go."""
-_COURSE = np.linspace(0.0, 10.0, 64)  # Times of a move that are looked at, times the bandwidth.
-_BLOCK, _HALVINGS = 8, 10
+BANDWIDTH = 8.0  # [rad/s] of the filter behind the sliders: a move takes about a second.
+REACH = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])  # [rad, m] largest distance of a target from the initial pose.
+SPACING = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])  # [rad, m] largest distance between checked poses.
+CRANK_SPEED = 2.0  # [rad/s] largest crank speed of motion by hand.
+GOVERNOR_PERIOD = 0.02  # [s]
+_COURSE = np.linspace(0.0, 10.0, 64)  # Checked times of a move, times the bandwidth.
+_BLOCK = 8  # Poses that are checked together.
+_BISECTIONS = 10
 
 
 class SmoothValue:
     """A value (n,) that follows a target through a filter with three equal poles; it never overshoots.
 
-    Its rate is continuous and its acceleration too, so that a controller with feedforward can follow it. At first it
-    rests; `bandwidth` [rad/s] is that of the filter.
+    Rate and acceleration are continuous, so that a controller with feedforward can follow. It begins at rest;
+    `bandwidth` [rad/s] is that of the filter.
     """
 
     def __init__(self, value: np.ndarray, bandwidth: float = BANDWIDTH) -> None:
@@ -42,19 +38,19 @@ class SmoothValue:
         # exp(t chain) is exp(-w t) times three terms: the cube of chain + w I is zero.
         rest = chain + w * np.eye(3)
         self._terms = np.stack([np.eye(3), rest, 0.5 * rest @ rest])
-        self._course = np.array([self.transition(each / w) for each in _COURSE])
+        self._course = np.array([self.transition(time / w) for time in _COURSE])
         self.target = np.array(value, dtype=float)
         self.state = np.zeros((3, len(self.target)))
         self.state[0] = self.target
 
     def after(self, time: float) -> np.ndarray:
-        """Value, rate and acceleration (3, n) after a time [s], if the target stays."""
+        """Value, rate and acceleration (3, n) after a time [s], for a constant target."""
         rest = np.zeros_like(self.state)
         rest[0] = self.target
         return rest + self.transition(time) @ (self.state - rest)
 
     def transition(self, time: float) -> np.ndarray:
-        """(3, 3): what a time [s] makes of the distance from the target and its rates."""
+        """(3, 3) transition matrix of the distance from the target and its rates over a time [s]."""
         ahead = np.tensordot([1.0, time, time**2], self._terms, 1)
         return np.asarray(np.exp(-self._bandwidth * time) * ahead)
 
@@ -66,9 +62,9 @@ class SmoothValue:
 
 
 class HandReference:
-    """The pose set by hand, with the motion of the scenario about it: a motion that goes on from its latest time.
+    """A pose set by hand plus the motion of the scenario about it.
 
-    reference(t) = hand(t) + share(t) (motion(t) - motion(0)), hand and share each a `SmoothValue`.
+    reference(t) = hand(t) + share(t) (motion(t) - motion(0)); hand and share are `SmoothValue`s.
     """
 
     def __init__(self, motion: Reference, bandwidth: float = BANDWIDTH) -> None:
@@ -78,9 +74,9 @@ class HandReference:
         self.hand, self.share = (SmoothValue(value, bandwidth) for value in (self.home, np.ones(1)))
 
     def aim(self, scenario: Scenario, pose: np.ndarray) -> Reached:
-        """Sends the hand to a pose (6,) [rad, m], or as far towards it as the robot can go."""
-        if (np.abs(pose - self.home) > FARTHEST + 1e-9).any():
-            allowed = f"a pose within {FARTHEST[0]:g} rad and {FARTHEST[3]:g} m of {self.home.round(4).tolist()}"
+        """Sets the goal to a pose (6,) [rad, m], or to the last feasible one on the straight path to it."""
+        if (np.abs(pose - self.home) > REACH + 1e-9).any():
+            allowed = f"a pose within {REACH[0]:g} rad and {REACH[3]:g} m of {self.home.round(4).tolist()}"
             raise ConfigurationError("pose", pose.tolist(), allowed)
         around = self.excursions(scenario.duration)
         reached = nearest_allowed(scenario.robot, scenario.limits, self.goal, pose, scenario.gravity, around)
@@ -88,112 +84,112 @@ class HandReference:
         return reached
 
     def govern(self, scenario: Scenario, time: float) -> None:
-        """Takes the hand's target as far towards `goal` as limits and `CRANK_SPEED` allow on the way; time [s] as `at`.
+        """Moves the filter's target as far towards `goal` as limits and `CRANK_SPEED` allow; time [s] as `at`.
 
-        What the filter makes of a target is known: the whole move is looked at, to its end. A reference governor.
+        A reference governor: the filter's whole response to a target is known and checked.
         """
-        hand, begun = self.hand, self.hand.target
-        if (begun == self.goal).all():
+        hand, before = self.hand, self.hand.target
+        if (before == self.goal).all():
             return
         speed = min(scenario.limits.crank_speed or np.inf, CRANK_SPEED)
         limits = dataclasses.replace(scenario.limits, crank_speed=speed)
-        own = self.at(time)[:6] - hand.state[0]
+        motion = self.at(time)[:6] - hand.state[0]
         for share in 0.5 ** np.arange(7):
-            target = self.goal if share == 1.0 else begun + share * (self.goal - begun)
-            if _first_broken(scenario.robot, limits, hand.course(target), scenario.gravity, own[None]) is None:
-                # Whole, for a thread that drives.
+            target = self.goal if share == 1.0 else before + share * (self.goal - before)
+            if _first_broken(scenario.robot, limits, hand.course(target), scenario.gravity, motion[None]) is None:
+                # One assignment: another thread reads it.
                 hand.target = target.copy()
                 return
 
     def advance(self, time: float) -> None:
-        """To a later time [s]."""
-        for each in (self.hand, self.share):
-            each.state = each.after(time - self._now)
+        """Advances to a later time [s]."""
+        for value in (self.hand, self.share):
+            value.state = value.after(time - self._now)
         self._now = time
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Pose, rate and acceleration (..., 6) at times [s] near the latest one, if the targets stay."""
-        rows = np.array([self.at(each) for each in np.ravel(time)])
+        """Pose, rate and acceleration (..., 6) at times [s] near the latest one, for constant targets."""
+        rows = np.array([self.at(t) for t in np.ravel(time)])
         pose, rate, acceleration = np.moveaxis(rows.reshape(*np.shape(time), 3, 6), -2, 0)
         return pose, rate, acceleration
 
     def at(self, time: float) -> np.ndarray:
-        """The same in one, (18,), at one time [s]."""
+        """Pose, rate and acceleration (18,) at one time [s]."""
         ahead = time - self._now
-        hand, share = (each.after(ahead) if ahead else each.state for each in (self.hand, self.share))
+        hand, share = (value.after(ahead) if ahead else value.state for value in (self.hand, self.share))
         s, rate, acceleration = share[:, 0]
         pose, velocity, force = self._motion.evaluate(time)
-        own = pose - self.home
+        offset = pose - self.home
         return np.concatenate(
             [
-                hand[0] + s * own,
-                hand[1] + rate * own + s * velocity,
-                hand[2] + acceleration * own + 2.0 * rate * velocity + s * force,
+                hand[0] + s * offset,
+                hand[1] + rate * offset + s * velocity,
+                hand[2] + acceleration * offset + 2.0 * rate * velocity + s * force,
             ]
         )
 
     def excursions(self, duration: float, on: bool = False) -> np.ndarray:
-        """Samples (n, 6) of what the motion adds to the pose set by hand; zeros (1, 6) once it is off, and not `on`."""
+        """Samples (n, 6) of the motion minus its first pose; zeros (1, 6) while it is off, unless `on`."""
         if self.share.target[0] == 0.0 and not on:
             return np.zeros((1, 6))
         if self._around is None or self._around[0] != duration:
-            poses = (self._motion.evaluate(checked_times(duration))[0] - self.home) / APART
-            # Of those that are near to one another the farthest.
+            poses = (self._motion.evaluate(checked_times(duration))[0] - self.home) / SPACING
+            # One per cell of the grid: the farthest.
             poses = poses[np.argsort(-np.linalg.norm(poses, axis=1), kind="stable")]
-            self._around = duration, poses[np.unique(np.floor(poses), axis=0, return_index=True)[1]] * APART
+            self._around = duration, poses[np.unique(np.floor(poses), axis=0, return_index=True)[1]] * SPACING
         return self._around[1]
 
 
 class Reached(NamedTuple):
-    """How far towards a pose the robot can go."""
+    """The last feasible pose on the straight path to a target."""
 
-    pose: np.ndarray  # (6,) [rad, m] asked for, or the last allowed one on the straight way to it.
-    limit: str  # What is at its limit there; empty where the pose asked for is allowed.
+    pose: np.ndarray  # (6,) [rad, m]
+    limit: str  # The limit that was reached; empty if the target is feasible.
 
 
 def nearest_allowed(
     robot: RobotParameters,
     limits: ReferenceLimits,
     here: np.ndarray,
-    wanted: np.ndarray,
+    target: np.ndarray,
     gravity: float,
     around: np.ndarray,
 ) -> Reached:
-    """The last pose on the straight way from `here` to the one that is wanted, (6,) each, that keeps to the limits.
+    """The last pose on the straight path from `here` (6,) to `target` (6,) within the limits at rest.
 
-    Limits are those at rest; `around` (n, 6) [rad, m] is what a motion adds to the pose, zeros (1, 6) for none.
+    `around` (n, 6) [rad, m] are offsets that must be feasible too; zeros (1, 6) for none.
     """
-    here, wanted = np.asarray(here, dtype=float), np.asarray(wanted, dtype=float)
-    way = wanted - here
-    shares = np.linspace(0.0, 1.0, 1 + max(1, math.ceil((np.abs(way) / APART).max())))
+    here, target = np.asarray(here, dtype=float), np.asarray(target, dtype=float)
+    path = target - here
+    shares = np.linspace(0.0, 1.0, 1 + max(1, math.ceil((np.abs(path) / SPACING).max())))
 
     def broken_at(share: np.ndarray) -> tuple[int, str] | None:
         at_rest = np.zeros((len(share), 3, 6))
-        at_rest[:, 0] = here + share[:, None] * way
+        at_rest[:, 0] = here + share[:, None] * path
         return _first_broken(robot, limits, at_rest, gravity, around)
 
     for at in range(0, len(shares) - 1, _BLOCK):
         if (broken := broken_at(shares[at : at + _BLOCK + 1])) is not None:
             break
     else:
-        return Reached(wanted, "")
+        return Reached(target, "")
     place, limit = broken
     low, high = shares[at + place - 1 : at + place + 1].tolist()
-    for _ in range(_HALVINGS):
+    for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         if (broken := broken_at(np.array([low, middle]))) is None:
             low = middle
         else:
             high, limit = middle, broken[1]
-    return Reached(here + low * way, limit)
+    return Reached(here + low * path, limit)
 
 
 def _first_broken(
     robot: RobotParameters, limits: ReferenceLimits, motion: np.ndarray, gravity: float, around: np.ndarray
 ) -> tuple[int, str] | None:
-    """Index of the first row after row 0 that breaks a limit, and which; None where all keep to them.
+    """Index of the first row after row 0 that breaks a limit, and the limit; None if there is none.
 
-    Rows (n, 3, 6) of pose, rate, acceleration; `around` (k, 6) is added. Row 0 tells on which side of a singularity.
+    Rows (n, 3, 6) of pose, rate, acceleration, to which `around` (k, 6) is added. Row 0 sets the side of a singularity.
     """
     rows = np.repeat(motion, len(around), axis=0)
     rows[:, 0] += np.tile(around, (len(motion), 1))

@@ -137,7 +137,7 @@ def fields_of(
 def _signals(scenario: Scenario, values: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """As of a run: the pose is that which the machine tells, or else that of the angles that it reads or is told."""
     angles, poses, sent = values["reading"], values.pop("told_pose"), values.pop("sent")
-    motors = scenario.belief.motors
+    motors = scenario.controller_model.motors
     if motors.holds and not np.isfinite(angles).any():
         angles = sent
     of_angles, guess = [], values["reference"][0, :6]

@@ -1,1 +1,1 @@
-"""Real machines, and the simulation as one of them: what they are to whoever drives them, and how they are reached."""
+"""Real and simulated machines behind one interface: over UDP, a serial line, or a user's class."""

@@ -1,4 +1,4 @@
-"""What a machine is to whoever drives it, and which one a URL names."""
+"""The interface of a machine, `Machine`, and the machine that a URL names."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from stewart_drake.base.registry import MACHINES
 from stewart_drake.scenario.scenario import Scenario
 
 LOCALHOST = "127.0.0.1"
-LOST = 1.0  # [s] without a reading after which a machine is lost.
-LARGEST_ANGLE = 4.0 * np.pi  # [rad] of a reading that is believed.
-PATIENCE = 3  # Periods for which `read` waits for the next reading of a machine that sets the pace.
+LOST_AFTER = 1.0  # [s] without a reading, until the connection counts as lost.
+LARGEST_ANGLE = 4.0 * np.pi  # [rad] Readings beyond it are dropped.
+PERIODS_TO_WAIT = 3  # Longest wait of `read` for the next reading of a paced machine.
 Takes = Literal["angle", "torque", "current"]
 _URLS = "reachy://HOST:PORT, udp://HOST:PORT, serial:DEVICE, sim: or mine.py:MyMachine"
 
 
 class MachineError(RunFailure):
-    """A machine that cannot be reached, is lost, or gives what is no reading: one line, which begins with its name."""
+    """A machine cannot be reached, is lost, or sends an invalid reading. One line that begins with its name."""
 
     reason = "machine"
 
@@ -35,7 +35,7 @@ class MachineError(RunFailure):
 
 @contextmanager
 def line_errors(name: str) -> Iterator[None]:
-    """Within it, what a socket or a serial line raises is a MachineError."""
+    """Turns errors of a socket or a serial line into a MachineError."""
     try:
         yield
     except ConnectionRefusedError:
@@ -45,19 +45,19 @@ def line_errors(name: str) -> Iterator[None]:
 
 
 class Reading(NamedTuple):
-    """What a machine says of itself.
+    """A reading of a machine.
 
     Attributes:
         angles: (6,) [rad] of the cranks.
-        time: [s] of the machine's own clock where it has one, else of `time.monotonic` when the reading arrived.
+        time: [s] by the machine's clock if it has one, else `time.monotonic` at arrival.
         age: [s] since it arrived, at the moment that `read` returns.
-        number: Counts the machine's readings. It stays where none has come since the last `read`; a jump by more than
-            one says that some were lost, or came too fast to be read.
-        command_age: [s] since that command was sent which is known to have arrived; no reading is older than that,
-            whatever the network does. 0 where the machine does not say.
-        holding: Whether the machine says that it follows no commands: it has got none yet, or the last is too old.
-        pose: (6,) [rad, m] of the platform where the machine tells it; for comparison, no law reads it.
-        arrived: (6,) the last command that is known to have arrived; None where the machine does not say.
+        number: Count of readings. It is that of the last `read` if no new one has come; a jump by more than one means
+            that readings were lost, or came faster than they were read.
+        command_age: [s] since the newest acknowledged command was sent, an upper bound of the reading's age. 0 if the
+            machine acknowledges none.
+        holding: Whether the machine follows no command: it has got none yet, or the last is too old.
+        pose: (6,) [rad, m] of the platform, if the machine measures it; for comparison only, no law uses it.
+        arrived: (6,) the newest acknowledged command; None if the machine acknowledges none.
     """
 
     angles: np.ndarray
@@ -71,7 +71,7 @@ class Reading(NamedTuple):
 
 
 class Machine(Protocol):
-    """Six motors that can be told what to do. `open_machine` makes one; nothing happens before `connect`.
+    """Six motors that take commands. `open_machine` makes one; nothing happens before `connect`.
 
     Every method but `disconnect` may raise a `MachineError`.
 
@@ -79,9 +79,10 @@ class Machine(Protocol):
         period: [s] between two readings, known once it is connected; None where that does not matter.
         takes: What `command` takes: `angle` [rad], `torque` [N m] or `current` [A].
         reads: Whether it measures its angles; otherwise `read` gives the last command.
-        after: What becomes of its motors once it is let go, as a clause; empty where nothing has to be said.
-        paced: Whether its own ticks set the pace. `read` then waits for the next reading, for at most `PATIENCE`
-            periods; if none comes it gives the last one again, older. Otherwise `read` gives the latest at once.
+        after: What its motors do after `disconnect`, as a clause for messages; may be empty.
+        paced: Whether its readings set the pace of the loop. `read` then waits for the next one, at most
+            `PERIODS_TO_WAIT` periods; if none comes it returns the last one again, older. Otherwise `read` returns the
+            latest at once.
     """
 
     period: float | None
@@ -100,7 +101,7 @@ class Machine(Protocol):
         """Sends six commands (6,), see `takes`, cut to the robot's limits; does not wait."""
 
     def disconnect(self) -> None:
-        """Lets go; the machine holds where it is. Never raises, and may be called twice."""
+        """Closes the connection; the machine holds its position. Never raises, and may be called twice."""
 
 
 def open_machine(url: str, scenario: Scenario) -> Machine:
@@ -108,16 +109,16 @@ def open_machine(url: str, scenario: Scenario) -> Machine:
 
     Args:
         url: `reachy://HOST:PORT`, `udp://HOST:PORT`, `serial:DEVICE` or `serial:DEVICE:BAUD`, `sim:` or `sim:SCENARIO`,
-            or a class of the user's own, `mine.py:MyMachine` or `module:Class`, whose code has to be trusted.
-        scenario: What is driven; what its motors are believed to take, and the limits of its robot, are the machine's.
+            or a user's class, `mine.py:MyMachine` or `module:Class`; its code has to be trusted.
+        scenario: Scenario that is driven. Kind and limits of the commands are those of its model.
 
     Raises:
         ConfigurationError: A URL that names no machine, code that is not trusted, a machine that takes something else.
     """
     kind, _, rest = url.partition(":")
     if kind in MACHINES.names:
-        made = MACHINES[kind]
-        machine: Machine = made(scenario, *_address(url, getattr(made, "default_port", None)))
+        factory = MACHINES[kind]
+        machine: Machine = factory(scenario, *_address(url, getattr(factory, "default_port", None)))
     elif kind == "serial" and (parts := re.fullmatch(r"(.+?)(?::(\d{1,8}))?", rest)):
         machine = imported("machines.serial_line:SerialMachine")(scenario, parts[1], int(parts[2] or 1_000_000))
     elif kind == "sim":
@@ -126,11 +127,11 @@ def open_machine(url: str, scenario: Scenario) -> Machine:
         machine = imported("machines.user_machine:UserMachine")(scenario, url)
     else:
         raise ConfigurationError("machine", url, _URLS)
-    return Homed(machine, scenario.belief.home) if any(scenario.belief.home) else machine
+    return Homed(machine, scenario.controller_model.home) if any(scenario.controller_model.home) else machine
 
 
 class Homed:
-    """A machine that reads zero at angles `home` (6,) [rad] of the cranks; it is told and tells the model's angles."""
+    """A machine with its zero at crank angles `home` (6,) [rad]; readings and commands are in the model's angles."""
 
     def __init__(self, machine: Machine, home: Sequence[float]) -> None:
         self._machine, self._home = machine, np.array(home)
@@ -151,7 +152,7 @@ class Homed:
 
 
 def _address(url: str, default_port: int | None) -> tuple[str, int]:
-    """Host, this computer where none is named, and port of a URL `kind://HOST:PORT`."""
+    """Host and port of a URL `kind://HOST:PORT`; the default host is this computer."""
     try:
         parts = urlsplit(url)
         host, port = parts.hostname or LOCALHOST, default_port if parts.port is None else parts.port
@@ -164,20 +165,20 @@ def _address(url: str, default_port: int | None) -> tuple[str, int]:
 
 
 def check_takes(scenario: Scenario, takes: str, who: str) -> None:
-    """Raises a ConfigurationError where the motors that the controller believes in take something else."""
-    motors = scenario.belief.motors
+    """Raises a ConfigurationError if the motors of the controller's model take another quantity."""
+    motors = scenario.controller_model.motors
     if motors.takes != takes:
         raise ConfigurationError("model.motors", motors.kind, f"motors that take {takes}, as {who} does")
 
 
 def command_limits(scenario: Scenario) -> np.ndarray:
-    """(2, 6) lowest and highest commands in the motors' unit; angles are the machine's own, see `Homed`."""
-    belief = scenario.belief
+    """(2, 6) lowest and highest commands in the motors' unit; angles count from the machine's zero, see `Homed`."""
+    belief = scenario.controller_model
     return belief.motors.command_limits(belief.robot) - belief.motors.holds * np.array(belief.home)
 
 
 def within_limits(values: np.ndarray, limits: np.ndarray, name: str) -> np.ndarray:
-    """Commands (6,) cut to `command_limits` (2, 6); a MachineError of a machine where they are no numbers."""
+    """Commands (6,) cut to `command_limits` (2, 6); MachineError if they are not six finite numbers."""
     given = np.asarray(values, dtype=float)
     if given.shape != (6,) or not np.isfinite(given).all():
         raise MachineError(name, f"a command that is not six finite numbers: {given}")

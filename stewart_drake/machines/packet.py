@@ -1,6 +1,6 @@
-"""The packet on the wire, the same in both directions; docs/wire.md describes every byte.
+"""The packet of the protocol, the same in both directions; docs/wire.md describes every byte.
 
-Only pure functions: bytes in, values out; whatever the bytes are, nothing raises.
+Pure functions from bytes to values and back. Invalid bytes give None; nothing raises.
 """
 
 from __future__ import annotations
@@ -18,23 +18,23 @@ hold and to be sent readings; in a reading, commands are followed, clear while i
 angles are measured; clear where they are the last command."""
 TAKES = ("angle", "torque", "current")
 """What commands are, by bits 2 and 3 of `flags`: 0 angle [rad], 1 torque [N m], 2 current [A]."""
-HOLD_AFTER = 0.1  # [s] without an active command after which a machine holds by itself, at the latest.
+HOLD_AFTER = 0.1  # [s] Longest time without an active command until a machine holds.
 QUIET_AFTER = 1.0
-"""[s] without any command after which a machine sends no more readings, and takes commands from anybody."""
+"""[s] without any command until a machine sends no more readings, and accepts a new peer."""
 _BODY, _CHECK = struct.Struct("<2sBBIIQ6f"), struct.Struct("<I")
 SIZE = _BODY.size + _CHECK.size
-LONGEST_FRAME = SIZE + 2  # [byte] of a packet on a serial line.
+LONGEST_FRAME = SIZE + 2  # [byte] A packet on a serial line.
 
 
 class Packet(NamedTuple):
-    """What a packet says.
+    """Contents of a packet.
 
     Attributes:
         flags: See `READING`, `ACTIVE`, `MEASURED`, `TAKES`; other bits are 0.
-        number: Counts the packets of a direction, modulo 2^32.
-        answers: The newest `number` that has arrived from the other side; 0 where none has.
-        microseconds: [us] of the sender's clock; it never goes back.
-        values: (6,) angles [rad] in a reading, commands in a command; float32 on the wire, and finite.
+        number: Count of packets in this direction, modulo 2^32.
+        answers: Newest `number` that has arrived from the other side; 0 for none.
+        microseconds: [us] by the sender's clock; never decreases.
+        values: (6,) angles [rad] of a reading, or commands; finite, sent as float32.
     """
 
     flags: int
@@ -45,7 +45,7 @@ class Packet(NamedTuple):
 
     @property
     def takes(self) -> str:
-        """What the machine's commands are."""
+        """Quantity of the machine's commands."""
         return TAKES[self.flags >> 2 & 3]
 
 
@@ -55,7 +55,7 @@ def flags_of(takes: str, *bits: int) -> int:
 
 
 def rounded_inside(limits: np.ndarray) -> np.ndarray:
-    """Limits (2, ...), lowest and highest, as the farthest numbers of the wire that keep to them."""
+    """Limits (2, ...), lowest and highest, rounded to float32 inside the range."""
     near = limits.astype(np.float32)
     beyond = [near[0] < limits[0], near[1] > limits[1]]
     return np.where(beyond, np.nextafter(near, near[::-1]), near).astype(float)
@@ -69,7 +69,7 @@ def encode(packet: Packet) -> bytes:
 
 
 def decode(data: bytes) -> Packet | None:
-    """The packet of some bytes; None where they are none, or one of its values is not finite."""
+    """The packet in some bytes; None if they are no packet, or a value is not finite."""
     if len(data) != SIZE or crc32(data[: _BODY.size]) != _CHECK.unpack_from(data, _BODY.size)[0]:
         return None
     magic, version, flags, number, answers, microseconds, *values = _BODY.unpack_from(data)
@@ -80,7 +80,7 @@ def decode(data: bytes) -> Packet | None:
 
 
 def newer(number: int, last: int) -> bool:
-    """Whether a number comes after another one, as they count modulo 2^32."""
+    """Whether a number comes after another one, modulo 2^32."""
     return 0 < (number - last) % 2**32 < 2**31
 
 
@@ -88,7 +88,7 @@ def newer(number: int, last: int) -> bool:
 
 
 def to_frame(data: bytes) -> bytes:
-    """At most 254 bytes as a frame: no zero in it but the last byte."""
+    """A frame of at most 254 bytes; its only zero is the last byte."""
     frame = bytearray()
     for block in data.split(b"\0"):
         frame.append(len(block) + 1)
@@ -97,7 +97,7 @@ def to_frame(data: bytes) -> bytes:
 
 
 def from_frame(frame: bytes) -> bytes | None:
-    """The bytes of a frame without its last zero; None where it is none."""
+    """The data of a frame without its last zero; None if it is invalid."""
     data, at = bytearray(), 0
     while at < len(frame):
         code = frame[at]
@@ -109,7 +109,7 @@ def from_frame(frame: bytes) -> bytes | None:
 
 
 def split_frames(buffer: bytearray) -> list[bytes]:
-    """Takes the whole frames out of what has arrived; what is longer than any frame is thrown away."""
+    """Removes complete frames from the buffer and returns them; drops what is longer than any frame."""
     *frames, rest = bytes(buffer).split(b"\0")
     buffer[:] = rest if len(rest) <= LONGEST_FRAME else b""
     return [frame for frame in frames if frame]

@@ -10,11 +10,11 @@ from stewart_drake.machines.packet import from_frame, split_frames, to_frame
 from stewart_drake.machines.packet_machine import PacketMachine
 from stewart_drake.scenario.scenario import Scenario
 
-WRITTEN_WITHIN = 0.005  # [s] after which a packet that the line does not take is lost: the loop must not wait for it.
+WRITE_TIMEOUT = 0.005  # [s] A packet that the line does not take in this time is dropped: the loop must not wait.
 
 
-class SerialMachine(PacketMachine):
-    """What answers at a serial device, at a rate [baud]; USB lines ignore the rate."""
+class SerialMachine(PacketMachine[Any]):
+    """A machine at a serial device, at a rate [baud]; USB lines ignore the rate."""
 
     def __init__(self, scenario: Scenario, device: str, baud: int) -> None:
         super().__init__(scenario, f"serial:{device}")
@@ -25,7 +25,7 @@ class SerialMachine(PacketMachine):
             import serial
         self._buffer.clear()
         self._full = serial.SerialTimeoutException
-        line = serial.Serial(self._device, self._baud, timeout=0.0, write_timeout=WRITTEN_WITHIN)
+        line = serial.Serial(self._device, self._baud, timeout=0.0, write_timeout=WRITE_TIMEOUT)
         line.reset_input_buffer()
         return line
 

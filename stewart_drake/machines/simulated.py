@@ -1,11 +1,11 @@
-"""`sim:`, a scenario's plant and motors in real time, in a process of its own, behind the packet of a real machine.
+"""`sim:`, a simulated machine: plant and motors of a scenario in real time, in another process, reached by packets.
 
 `python -P -m stewart_drake.machines.simulated SCENARIO --port N` starts one by hand, for `udp://127.0.0.1:N`.
 
-It is also the example of what a robot's side has to do: it takes commands of one peer alone, in order, of the right
-kind, finite and within limits; it sends a reading in each tick while somebody asks; and 0.1 s after the last active
-command, or 20 ticks where that is sooner, it holds by itself: motors that take angles keep the last one, those that
-take torques or currents close their brakes, which stop the robot where it is. So it stands at home at first.
+It is also an example for the robot's side of the protocol. It accepts commands of one peer only, in order, of the
+right kind, finite and within limits. It sends one reading per tick while a peer sends requests. 0.1 s after the last
+active command, or 20 ticks if that is sooner, it holds: motors that take angles keep the last one, motors that take
+torques or currents close their brakes. It begins at home, holding.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ import threading
 import time
 from collections import Counter, deque
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 
@@ -37,21 +36,22 @@ from stewart_drake.scenario.assembly import machine_side
 from stewart_drake.scenario.scenario import Scenario, load_driven
 from stewart_drake.scenario.stepped_loop import SteppedLoop
 
-STARTS_WITHIN = 300.0  # [s] for a process to compile what it needs, the first time.
-HOLD_TICKS = 20  # Without an active command after which the robot holds: no fast loop is stable for 0.1 s without one.
-MOST_LATE = 50  # Datagrams that are looked at in a tick that is late.
-LATEST = 0.5  # [s] behind the clock from which on the simulation gives up catching up; its own clock then stands still.
+START_TIMEOUT = 300.0  # [s] The process may have to compile the laws first.
+HOLD_TICKS = 20  # Ticks without an active command, then the robot holds: 0.1 s is too long for a fast loop.
+LATE_DATAGRAMS = 50  # Datagrams that are read in a tick that is late.
+MAX_LATENESS = 0.5  # [s] A simulation that is later does not catch up; the difference is lost.
+Address = tuple[str, int]
 
 
 class SimulatedMachine(UdpMachine):
     """A process that simulates a robot; it ends at `disconnect`, or with this process.
 
     Args:
-        scenario: What is driven.
-        other: File or shipped name of the scenario that is simulated; empty for the same.
+        scenario: Scenario that is driven.
+        other: File or shipped name of the scenario to simulate; empty for `scenario`.
 
     Attributes:
-        counts: What the robot's side has counted, see `RobotSide`; after `disconnect`.
+        counts: Counts of the robot's side, see `RobotSide`; known after `disconnect`.
     """
 
     after = ""
@@ -63,9 +63,9 @@ class SimulatedMachine(UdpMachine):
         self.counts: dict[str, int] = {}
 
     def _open(self) -> socket.socket:
-        # Without the current folder, whose modules would be taken for Python's.
+        # -P: modules in the current folder must not hide those of Python.
         command = [sys.executable, "-P", "-m", "stewart_drake.machines.simulated", "-", "--port", "0"]
-        # In a session of its own: Ctrl-C is for who drives, and the robot must still be there while that slows down.
+        # A new session: Ctrl-C stops the driver, which needs the robot while it slows down.
         self._process = process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
         )
@@ -74,7 +74,7 @@ class SimulatedMachine(UdpMachine):
         with suppress(BrokenPipeError):
             process.stdin.write(pickle.dumps(self._simulated))
             process.stdin.flush()
-        started = select.select([process.stdout], [], [], STARTS_WITHIN)[0]
+        started = select.select([process.stdout], [], [], START_TIMEOUT)[0]
         if not (port := process.stdout.readline().strip() if started else b"").isdigit():
             raise MachineError(self.name, "the process of the simulation did not start")
         self._address = LOCALHOST, int(port)
@@ -86,18 +86,18 @@ class SimulatedMachine(UdpMachine):
         process, self._process = getattr(self, "_process", None), None
         if process is not None:
             try:
-                said = process.communicate(timeout=2.0)[0]
+                output = process.communicate(timeout=2.0)[0]
             except subprocess.TimeoutExpired:
                 process.kill()
-                said = process.communicate()[0]
-            self.counts = json.loads(said) if said.startswith(b"{") else {}
+                output = process.communicate()[0]
+            self.counts = json.loads(output) if output.startswith(b"{") else {}
 
 
 class SimulatedRobot:
-    """A scenario's machine, at home, at rest; its angles are those of its own zero.
+    """Plant, motors and sensors of a scenario, at rest at home; angles count from the machine's zero.
 
     Attributes:
-        command: (6,) for the motors, from the next step of the plant on.
+        command: (6,) of the motors, from the next step of the plant on.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -108,7 +108,7 @@ class SimulatedRobot:
         self.steps, self.command = steps_per("period", self.period, self.step), loop.runner.signal("command")
         reads_angles = scenario.sensors.reading == "angles"
         self._angles = loop.runner.signal("reading") if reads_angles else loop.measured[ANGLES]
-        self._home, self._takes_angles = np.array(scenario.belief.home), scenario.motors.holds
+        self._home, self._takes_angles = np.array(scenario.controller_model.home), scenario.motors.holds
         loop.begin()
         loop.run_parts()
 
@@ -118,15 +118,15 @@ class SimulatedRobot:
         return self._loop.now
 
     def reading(self) -> np.ndarray:
-        """(6,) [rad] what the sensors say now."""
+        """(6,) [rad] reading of the sensors."""
         return self._angles - self._home
 
     def follow(self, values: np.ndarray) -> None:
-        """Takes commands (6,)."""
+        """Sets the commands (6,)."""
         self.command[:] = values + self._home if self._takes_angles else values
 
     def advance(self, braked: bool) -> None:
-        """One step of the plant; with closed brakes the robot stands."""
+        """One step of the plant; closed brakes keep the robot at rest."""
         loop, pose = self._loop, self._loop.pose.copy()
         loop.move()
         if braked:
@@ -135,29 +135,29 @@ class SimulatedRobot:
 
 
 class RobotSide:
-    """What a robot does with packets: whom it listens to, what it follows, when it holds.
+    """The robot's side of the protocol: which peer it accepts, which command it follows, when it holds.
 
     Attributes:
-        peer: Whom it listens to, an address.
+        peer: Address of the peer that is accepted.
         values: (6,) the command to follow; None to hold.
-        counts: Packets `accepted`, and dropped as `garbage`, `foreign`, `old`, `range`; numbers `missing` in between;
-            commands `late` by more than 1 ms after the last reading.
+        counts: Packets `accepted`, dropped as `garbage`, `foreign`, `old` or `range`, and `missing`; commands `late`,
+            more than 1 ms after the last reading.
     """
 
     def __init__(self, takes: str, limits: np.ndarray, hold_after: float = wire.HOLD_AFTER) -> None:
         self.takes, self.hold_after, self.counts = takes, hold_after, Counter[str]()
         self._low, self._high = limits
-        self.peer: Any = None
+        self.peer: Address | None = None
         self.values: np.ndarray | None = None
         self._heard = self._active = self._sent = -np.inf
         self._number = self._heard_number = 0
 
     def holds(self, now: float) -> bool:
-        """Whether there is no command, at a time [s], that is to be followed."""
+        """Whether there is no command to follow at a time [s]."""
         return self.values is None or now - self._active > self.hold_after
 
-    def take(self, data: bytes, peer: Any, now: float) -> bool:
-        """Looks at what a peer has sent; whether it is a command to be followed."""
+    def take(self, data: bytes, peer: Address, now: float) -> bool:
+        """Handles a packet of a peer; True if it is a command to follow."""
         packet, quiet = wire.decode(data), now - self._heard > wire.QUIET_AFTER
         active = packet is not None and bool(packet.flags & wire.ACTIVE)
         reason = "accepted"
@@ -178,7 +178,7 @@ class RobotSide:
         return active and reason == "accepted"
 
     def reading(self, angles: np.ndarray, time: float, now: float) -> bytes:
-        """The packet of a reading (6,) [rad] at a time [s] of the robot's clock; nothing where nobody asks."""
+        """Packet of a reading (6,) [rad] at a time [s] of the robot's clock; empty if no peer sends requests."""
         if now - self._heard > wire.QUIET_AFTER:
             return b""
         self._number, self._sent = self._number + 1, now
@@ -187,29 +187,30 @@ class RobotSide:
 
 
 def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
-    """Simulates a scenario behind a socket, for ever; says its port once everything is compiled."""
-    # What is compiled in the first call must not come in the first tick.
+    """Simulates a scenario behind a socket, without end; prints the port once the laws are compiled."""
+    # Compiles the laws before the first tick.
     SimulatedRobot(scenario).advance(False)
     robot, brakes = SimulatedRobot(scenario), not scenario.motors.holds
     with real_time():
         print(line.getsockname()[1], flush=True)
         line.setblocking(False)
-        pace = Pace(robot.period, LATEST)
+        pace = Pace(robot.period, MAX_LATENESS)
         while True:
-            # A step is simulated when it is over, with the commands that have come until then.
+            # A step is simulated once it is over, with the commands that arrived in it.
             due = pace.due
             if packet := side.reading(robot.reading(), robot.now * robot.step, time.monotonic()):
+                assert side.peer is not None
                 with suppress(OSError):
                     line.sendto(packet, side.peer)
-            arrived: deque[tuple[float, Any]] = deque()
-            looked = 0
-            while (left := due + robot.period - time.monotonic()) > 0.0 or looked < MOST_LATE:
+            arrived: deque[tuple[float, np.ndarray]] = deque()
+            read = 0
+            while (left := due + robot.period - time.monotonic()) > 0.0 or read < LATE_DATAGRAMS:
                 if not select.select([line], [], [], max(left, 0.0))[0]:
                     break
-                looked += 1
+                read += 1
                 with suppress(OSError):
                     data, peer = line.recvfrom(wire.SIZE + 1)
-                    if side.take(data, peer, now := time.monotonic()):
+                    if side.take(data, peer, now := time.monotonic()) and side.values is not None:
                         arrived.append((now, side.values))
             for k in range(robot.steps):
                 while arrived and arrived[0][0] < due + (k + 1) * robot.step:
@@ -219,7 +220,7 @@ def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
 
 
 def main() -> None:
-    """The process: a scenario by its name or file, or `-` for one that comes pickled on standard input."""
+    """The process. Its scenario is a name or a file, or `-` for a pickled one on standard input."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("scenario")
     parser.add_argument("--host", default=LOCALHOST)

@@ -1,4 +1,4 @@
-"""A machine on the network: one packet in each datagram."""
+"""A machine on the network: one packet per datagram."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from stewart_drake.machines.packet import SIZE
 from stewart_drake.machines.packet_machine import PacketMachine
 from stewart_drake.scenario.scenario import Scenario
 
-MOST = 1000  # Datagrams that are looked at at a time, however many come.
+MAX_DATAGRAMS = 1000  # Read at a time, however many arrive.
 
 
-class UdpMachine(PacketMachine):
-    """What answers at a host and a port; datagrams from anywhere else never get here."""
+class UdpMachine(PacketMachine[socket.socket]):
+    """A machine at a host and a port; datagrams from elsewhere are dropped by the system."""
 
     def __init__(self, scenario: Scenario, host: str, port: int) -> None:
         super().__init__(scenario, f"udp://{host}:{port}")
@@ -22,7 +22,7 @@ class UdpMachine(PacketMachine):
     def _open(self) -> socket.socket:
         family, kind, protocol, _, address = socket.getaddrinfo(*self._address, type=socket.SOCK_DGRAM)[0]
         line = socket.socket(family, kind, protocol)
-        # From now on the system itself turns away what comes from elsewhere.
+        # The system now drops datagrams from elsewhere.
         line.connect(address)
         return line
 
@@ -34,8 +34,8 @@ class UdpMachine(PacketMachine):
         data: list[bytes] = []
         line.settimeout(timeout)
         with suppress(TimeoutError, BlockingIOError):
-            while len(data) < MOST:
-                # One byte more than a packet has, so that a longer one is not taken for one.
+            while len(data) < MAX_DATAGRAMS:
+                # One byte more than a packet, so that a longer datagram is not taken for one.
                 data.append(line.recv(SIZE + 1))
                 line.settimeout(0.0)
         return data

@@ -40,7 +40,7 @@ FREE, BARE = (0.0, "none"), (STANDARD_GRAVITY, "none")  # No gravity; gravity, w
 def gains_along_reference(base: Scenario) -> np.ndarray:
     """K of (31) for the nine pairs along (37), (38), with the controller of `base`; (9 poses, 9 pairs, 6, 18)."""
     poses = paper_reference().evaluate(np.linspace(0.0, np.pi, 9))[0]
-    maps = acceleration_map(base.belief.robot, poses, base.lqi.force_map)
+    maps = acceleration_map(base.controller_model.robot, poses, base.lqi.force_map)
     return np.array([[lqi_gain(b, base.lqi, np.array(pair)) for pair in PAIRS] for b in maps])
 
 

@@ -40,7 +40,7 @@ def scaled_network(network: TunerNetwork, omega_q: float = 1.0, omega_r: float =
 
 def changes(base: Scenario, folder: Path) -> dict[tuple[str, str], dict[str, object]]:
     """Factor and its new value -> keys of the scenario; bodies of the robot change, the model does not."""
-    robot, model = base.robot, {"model.robot": asdict(base.belief.robot)}
+    robot, model = base.robot, {"model.robot": asdict(base.controller_model.robot)}
     network, window = base.tuner.network(), isinstance(base.tuner, PaperTuner)
 
     def bodies(name: str, factor: float) -> dict[str, object]:

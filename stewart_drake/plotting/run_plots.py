@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.control.regression_records import Learnt, LearntCenter, LearntJoints
 from stewart_drake.logs.log import SimulationLog, distinct_names
 from stewart_drake.logs.metrics import INTEGRAL_TIME, run_metrics
 from stewart_drake.logs.signals import SCALES, SIGNALS
@@ -200,27 +201,27 @@ def plot_learnt(log: SimulationLog) -> Figure:
 
 def _learnt_panels(log: SimulationLog) -> Iterator[tuple[_Panel, np.ndarray]]:
     """Panels, and half the widths (curves, n) of the intervals of their curves."""
-    value, width = log["learnt"].T, log["learnt_half_width"].T
+    value, width = Learnt.of(log["learnt"]), Learnt.of(log["learnt_half_width"])
     legs = [f"motor {leg}" for leg in range(6)]
 
-    def panel(title: str, quantity: str, names: Sequence[str], values: np.ndarray, widths: np.ndarray) -> Any:
-        return _Panel(title, quantity, dict(zip(names, values, strict=True)), look.COLORS, 1e-6), widths
+    def panel(title: str, unit: str, values: Any, widths: Any, names: Sequence[str] = "_") -> Any:
+        scale = 1e3 if unit in ("mm", "ms") else 1.0
+        rows, wide = (scale * np.reshape(numbers, (-1, len(names))).T for numbers in (values, widths))
+        return _Panel(title, f"[{unit}]", dict(zip(names, rows, strict=True)), look.COLORS, 1e-6), wide
 
-    yield panel("Mass of the head", "[kg]", ["_"], value[:1], width[:1])
-    if (place := log.signals.get("learnt_center_of_mass")) is not None:
-        yield panel("Centre of mass of the head", "[mm]", "xyz", 1e3 * place.T[:3], 1e3 * place.T[3:])
-    if width[1].any():
-        yield panel("Delay of the motors, more than believed", "[ms]", ["_"], 1e3 * value[1:2], 1e3 * width[1:2])
-    for title, unit, of in (
-        ("Torque of the motors over what was believed", "[-]", slice(2, 8)),
-        ("Viscous friction", "[N m s/rad]", slice(8, 14)),
-        ("Coulomb friction", "[N m]", slice(14, 20)),
-    ):
-        yield panel(title, unit, legs, value[of], width[of])
-    if (joints := log.signals.get("learnt_joints")) is not None:
-        for n, (title, unit) in enumerate((("Viscous", "[N m s/rad]"), ("Dry", "[N m]"))):
-            values, widths = joints.T[n : n + 1], joints.T[2 + n : 3 + n]
-            yield panel(f"{title} friction of the ball joints", unit, ["_"], values, widths)
+    yield panel("Mass of the head", "kg", value.mass, width.mass)
+    if "learnt_center_of_mass" in log.signals:
+        center = LearntCenter.of(log["learnt_center_of_mass"])
+        yield panel("Centre of mass of the head", "mm", center.value, center.half_width, "xyz")
+    if np.any(width.delay):
+        yield panel("Delay of the motors, beyond that of the model", "ms", value.delay, width.delay)
+    yield panel("Torque of the motors over that of the model", "-", value.drive, width.drive, legs)
+    yield panel("Viscous friction", "N m s/rad", value.viscous, width.viscous, legs)
+    yield panel("Coulomb friction", "N m", value.coulomb, width.coulomb, legs)
+    if "learnt_joints" in log.signals:
+        of, title = LearntJoints.of(log["learnt_joints"]), "friction of the ball joints"
+        yield panel(f"Viscous {title}", "N m s/rad", of.viscous, of.viscous_half_width)
+        yield panel(f"Dry {title}", "N m", of.coulomb, of.coulomb_half_width)
 
 
 def _drawable(log: SimulationLog) -> SimulationLog:

@@ -1,1 +1,1 @@
-"""Reachy Mini: its daemon as a machine, its recorded moves and dances. It enters by `base.registry`, as others may."""
+"""Reachy Mini: its daemon as a machine, recorded moves and dances, entered in `base.registry` like a user's parts."""

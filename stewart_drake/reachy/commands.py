@@ -33,7 +33,7 @@ FORCE = opt.switch("Replace files that are there; never those that are read.")
 
 @command("moves", kind=opt.Group)
 def moves() -> None:
-    """Each takes a recorded move FILE.json, a FOLDER of them, dance:NAME, or all `dances` of the maker's library."""
+    """All take a recorded move FILE.json, a FOLDER of them, dance:NAME, or all `dances` of Pollen Robotics."""
 
 
 def _number(value: float) -> str:
@@ -41,11 +41,11 @@ def _number(value: float) -> str:
 
 
 def _cells(move: Move) -> tuple[bool, list[str], dict[str, Any]]:
-    """Whether a move can be done; what it needs most of, and when; and the same as data."""
+    """Whether a move is feasible; its largest demands and when they occur; and the same as data."""
     report, unreachable = check_move(load_robot(ROBOT), move)
     cells = [f"{_number(100.0 * unreachable)} %"]
     for name, (_, scale) in SHOWN.items():
-        # A limit that could be checked nowhere has no margin.
+        # A limit without any valid sample has no margin.
         worst = report.smallest.get(name)
         size = 0.0 if worst is None else scale * (worst.margin if name == "crank_range" else worst.value)
         broken = "broken " if worst is not None and worst.margin < 0.0 else ""
@@ -58,7 +58,7 @@ def _cells(move: Move) -> tuple[bool, list[str], dict[str, Any]]:
 
 @contextmanager
 def _named(name: str) -> Iterator[None]:
-    """Says which move it is with which something is wrong."""
+    """Adds the name of the move to an error about it."""
     try:
         yield
     except ConfigurationError as error:
@@ -69,7 +69,7 @@ def _named(name: str) -> Iterator[None]:
 
 @command("moves check", source=SOURCE)
 def check(source: str) -> None:
-    """A line a move: what it needs most of, and when. Exit status 2: one of them cannot be done, or is no move."""
+    """One line per move: its largest demands and when they occur. Exit status 2: a move is infeasible or invalid."""
     bad: dict[str, ConfigurationError] = {}
     given = moves_of(source, bad)
     with shown_compiling():
@@ -92,9 +92,9 @@ def check(source: str) -> None:
 
 @command("moves fix", source=SOURCE, out=OUT, force=FORCE)
 def fix(source: str, out: Path, force: bool) -> None:
-    """Where a move breaks a limit it comes nearer to home, or is averaged; as a last resort all of it is slowed.
+    """Moves a move that breaks a limit nearer to home there, or averages it; as a last resort slows all of it.
 
-    What cannot be fixed is left out. Exit status 2: that was one of them.
+    Moves that cannot be fixed are left out. Exit status 2: there were some.
     """
     bad: dict[str, ConfigurationError] = {}
     robot, given = load_robot(ROBOT), moves_of(source, bad)
@@ -123,10 +123,10 @@ def fix(source: str, out: Path, force: bool) -> None:
     source=SOURCE,
     out=OUT,
     force=FORCE,
-    shaped=opt.option("Shape it for the servos that a scenario or a controller's file believes in.", metavar="FILE"),
+    shaped=opt.option("Shape it for the servos in the model of a scenario or a controller's file.", metavar="FILE"),
 )
 def export(source: str, out: Path, force: bool, shaped: str | None, overrides: tuple[str, ...]) -> None:
-    """As it is, or as poses from which any player sends what the servos need to follow the move."""
+    """As it is, or as poses for which a player sends the commands that the servos need to follow the move."""
     given, scenario = moves_of(source), None if shaped is None else load_driven(shaped, overrides)
     folder = _place(source, given, out, force)
     if scenario is not None:
@@ -140,14 +140,14 @@ def export(source: str, out: Path, force: bool, shaped: str | None, overrides: t
 
 
 def _tell_notes(given: dict[str, Move]) -> None:
-    """Tells by how much recorded rows were changed before anything else."""
+    """Prints by how much the recorded rows were changed as they were read."""
     for name, move in given.items():
         if note := motion_of(move).note:
             tell(f"{name}: {note}")
 
 
 def _place(source: str, names: Iterable[str], out: Path, force: bool) -> Path:
-    """The folder for moves, made; none of their files is one that is read, nor without `force` one that is there."""
+    """The folder for moves, created; refuses to overwrite a source file, or without `force` any file."""
     folder, read = prepare_folder(out), files_of(source)
     there = [path for name in names if (path := folder / f"{name}.json").exists()]
     for path in there:

@@ -1,4 +1,4 @@
-"""Reachy Mini through its maker's daemon: the web socket `/ws/sdk`, angles in, angles out at 50 Hz."""
+"""Reachy Mini through the manufacturer's daemon: web socket `/ws/sdk`, angles in and out at 50 Hz."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from stewart_drake.machines.tick_clock import TickClock
 from stewart_drake.reachy.moves import pose_of_head
 from stewart_drake.scenario.scenario import Scenario
 
-TICK = 0.02  # [s] that the daemon wants between two messages of a kind: one in each of its ticks, without a time stamp.
-COUNTED = 25  # Ticks that give the period.
-PAIR = 0.003  # [s] after the angles of a tick within which its pose comes.
+TICK = 0.02  # [s] Nominal tick of the daemon: one message of each kind per tick, without a time stamp.
+PERIOD_TICKS = 25  # Ticks from which the period is measured.
+POSE_TIMEOUT = 0.003  # [s] from the angles of a tick to its pose.
 
 
 class ReachyMachine:
-    """The daemon of `reachy_mini`, real or `--sim`; it counts its ticks, which are longer than it wants: 5 to 8 %.
+    """The daemon of `reachy_mini`, real or `--sim`. Its ticks are measured: they are 5 to 8 % longer than nominal.
 
-    The body keeps the yaw that it has when the connection opens. The daemon acknowledges nothing, and while it plays a
-    move or wakes up it drops commands without a word. With motors that are off, readings say `holding`.
+    The body keeps the yaw at which the connection opens. The daemon acknowledges nothing; while it plays a move or
+    wakes up it drops commands silently. While the motors are off, readings are `holding`.
     """
 
     default_port = 8000
@@ -56,7 +56,7 @@ class ReachyMachine:
             from websockets.sync.client import connect
         self.disconnect()
         self._errors = (OSError, EOFError, WebSocketException)
-        # Without a limit of its queue: what waits in it is old, and `read` wants the newest.
+        # No limit of the queue: `read` empties it and uses the newest message.
         options: dict[str, Any] = {"compression": None, "proxy": None, "max_queue": None}
         try:
             opened = connect(self._url, open_timeout=5.0, close_timeout=0.2, **options)
@@ -64,27 +64,27 @@ class ReachyMachine:
         except self._errors as error:
             raise MachineError(self.name, f"no daemon of Reachy Mini answers there; does it run? ({error})") from None
         self._arrived, clock = time.monotonic(), TickClock(TICK, known=0.0)
-        while self._number < COUNTED:
+        while self._number < PERIOD_TICKS:
             clock.take(self.read())
         self.period = clock.tick
 
     def read(self) -> Reading:
         """The next tick of the daemon."""
-        last, deadline = self._number, time.monotonic() + machine.PATIENCE * TICK
+        last, deadline = self._number, time.monotonic() + machine.PERIODS_TO_WAIT * TICK
         while (left := deadline - time.monotonic()) > 0.0 and self._take(left):
             if self._number > last:
-                deadline = min(deadline, self._arrived + PAIR if self._pose_number < self._number else 0.0)
+                deadline = min(deadline, self._arrived + POSE_TIMEOUT if self._pose_number < self._number else 0.0)
         while self._take(0.0):
             pass
         age = time.monotonic() - self._arrived
-        if age > machine.LOST:
+        if age > machine.LOST_AFTER:
             sent = f"; it sent {self._strange}" if self._strange else ""
             raise MachineError(self.name, f"the daemon has sent no angles for {age:.1f} s{sent}")
         pose = self._pose.copy() if self._pose_number == self._number else None
         return Reading(self._joints[1:].copy(), self._arrived, age, self._number, 0.0, self._off, pose)
 
     def command(self, values: np.ndarray) -> None:
-        """Sends six angles (6,) [rad], behind the yaw of the body: with six alone the daemon would stop for good."""
+        """Sends the yaw of the body and six angles (6,) [rad]; with six alone the daemon would stop."""
         joints = [self._yaw, *machine.within_limits(values, self._limits, self.name).tolist()]
         try:
             self._opened().send(json.dumps({"type": "set_head_joints", "joints": joints}))
@@ -105,7 +105,7 @@ class ReachyMachine:
         return self._socket
 
     def _take(self, timeout: float) -> bool:
-        """Notes what the next message says; False where none comes in a time [s]. Strange ones are passed over."""
+        """Handles the next message; False if none arrives in a time [s]. An invalid message is ignored."""
         try:
             text = self._opened().recv(timeout=timeout)
         except TimeoutError:
@@ -113,13 +113,13 @@ class ReachyMachine:
         except self._errors as error:
             raise MachineError(self.name, f"the connection is lost ({error})") from None
         try:
-            self._note(json.loads(text))
-        except Exception:  # Nothing that comes over a line ends a drive.
+            self._handle(json.loads(text))
+        except Exception:  # No message may end a drive.
             self._strange = f"{text[:60]!r}"
         return True
 
-    def _note(self, message: Mapping[str, Any]) -> None:
-        """Raises whatever it may where a message is not as the daemon's are."""
+    def _handle(self, message: Mapping[str, Any]) -> None:
+        """Handles a message; raises any exception if it is invalid."""
         kind = message["type"]
         if kind == "joint_positions":
             joints = _numbers(message["head_joint_positions"], 7, machine.LARGEST_ANGLE)

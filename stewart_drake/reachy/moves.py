@@ -1,4 +1,4 @@
-"""Moves of Reachy Mini: recorded ones as its maker keeps them, in JSON, and the dances of the maker's library."""
+"""Moves of Reachy Mini: recordings in the manufacturer's JSON format, and dances of the manufacturer's library."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from stewart_drake.base.atomic_files import read_checked
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.sampling import unwrapped
 
-HEAD_HEIGHT = 0.177  # [m] above the origin of the base frame B of that in which the robot tells its head's pose.
+HEAD_HEIGHT = 0.177  # [m] The robot's frame for poses of the head is this high above the base frame B.
 MOST_TURN, MOST_BODY = math.radians(65.0), math.radians(160.0)
-"""[rad] of the head on its body, and of the body: with more asked for, the robot's own software turns the body."""
+"""[rad] largest yaw of the head relative to the body, and of the body; the robot's software turns the body beyond."""
 DANCES = "reachy_mini_dances_library==0.2.1"
 TEMPO = 114.0  # [beats/min] of a dance.
-STEP = 0.01  # [s] between the rows of a dance, and of moves that are made here.
+STEP = 0.01  # [s] between rows of dances and changed moves.
 MAX_BYTES = 100_000_000
 LONGEST = 600.0  # [s] of a recorded move.
 ASKED = "a move of Reachy Mini: `time` and `set_target_data`, a list of head (4x4), antennas (2) and body_yaw"
 
 
 class Move(NamedTuple):
-    """A move in n rows: the head on its body, and what is no part of the platform."""
+    """A move in n rows: pose of the head on the body, antennas, yaw of the body."""
 
     description: str
     time: np.ndarray  # (n,) [s], not going back: stamps may be equal.
@@ -37,14 +37,14 @@ class Move(NamedTuple):
     body_yaw: np.ndarray  # (n,) [rad].
 
     def at(self, time: np.ndarray) -> Move:
-        """The move with rows at other times (m,), on straight lines between its own."""
+        """The move at other times (m,), linearly interpolated."""
         columns = np.column_stack([self.pose, self.antennas, self.body_yaw]).T
         rows = np.column_stack([np.interp(time, self.time, column) for column in columns])
         return Move(self.description, time, rows[:, :6], rows[:, 6:8], rows[:, 8])
 
 
-def pose_of_head(head: np.ndarray, yaw: Any) -> np.ndarray:
-    """Pose (..., 6) [rad, m] of P in B of the head's (..., 4, 4), told in the world, and the yaw (...) of the body."""
+def pose_of_head(head: np.ndarray, yaw: float | np.ndarray) -> np.ndarray:
+    """Pose (..., 6) [rad, m] of P in B from the head's (..., 4, 4) in the world and the yaw (...) of the body."""
     x, y, z = np.moveaxis(head[..., :3, 3], -1, 0)
     turn = np.arctan2(head[..., 1, 0], head[..., 0, 0]) - yaw
     pitch, roll = np.arcsin(np.clip(-head[..., 2, 0], -1.0, 1.0)), np.arctan2(head[..., 2, 1], head[..., 2, 2])

@@ -1,4 +1,4 @@
-"""Moves of Reachy Mini: whether they can be done, how they can, and as poses from which its servos follow them."""
+"""Feasibility of moves of Reachy Mini, feasible versions of them, and poses for which its servos follow them."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from stewart_drake.scenario.controller import Controller
 from stewart_drake.scenario.limits import ReferenceLimits, limit_bounds, limit_margins
 from stewart_drake.scenario.scenario import Scenario
 
-TORQUE = 0.5  # [N m] at most in a fixed move.
-RESERVE = 0.002  # [-] of a limit, or [rad] of a stop, that a fixed move keeps: others look at other instants.
-MOVING = ("crank_speed", "torque")  # What a move breaks by how fast it is; the rest it breaks by where it is.
-NEAR = 0.05  # [s] about a place that breaks a limit within which the move changes.
-SMALLER, SMOOTHER, SLOWER = 0.02, 0.004, 0.01  # A step: [-] of the size, [s], [-] of the duration.
-SMOOTHEST = 0.035  # [s] that a move is averaged over at most, the standard deviation of a Gaussian; then it is slowed.
+TORQUE = 0.5  # [N m] largest in a fixed move.
+RESERVE = 0.002  # Relative margin, or [rad] to a stop, of a fixed move: a player samples it at other times.
+MOTION_LIMITS = ("crank_speed", "torque")  # Limits on the speed of a move; all others are on its poses.
+CHANGE_RANGE = 0.05  # [s] A move changes this far before and after a violation.
+SMALLER, SMOOTHER, SLOWER = 0.02, 0.004, 0.01  # Step of the size [-], averaging [s], duration [-].
+SMOOTHEST = 0.035  # [s] largest standard deviation of the averaging; then the move is slowed.
 _STEPS, _SHARES = 2000, 21
 
 
 def _of_head(robot: RobotParameters) -> RobotParameters:
-    """The robot without its tool: a move tells of the head."""
+    """The robot without its tool, as moves are poses of the head."""
     return robot if robot.tool is None else robot.replace(tool=None)
 
 
@@ -43,7 +43,7 @@ def _limits(robot: RobotParameters) -> ReferenceLimits:
 
 
 def check_move(robot: RobotParameters, move: Move) -> tuple[feasibility.FeasibilityReport, float]:
-    """All limits along a move; and the share of its ticks [-] out of reach."""
+    """All limits along a move, and the share of its ticks [-] out of reach."""
     robot, motion = _of_head(robot), motion_of(move)
     report = feasibility.check_reference(robot, _limits(robot), motion, motion.end)
     rows = motion.rows(feasibility.checked_times(motion.length))
@@ -51,7 +51,7 @@ def check_move(robot: RobotParameters, move: Move) -> tuple[feasibility.Feasibil
 
 
 def averaged(pose: np.ndarray, widths: np.ndarray) -> np.ndarray:
-    """Poses (n, 6) of rows `STEP` apart, each averaged by a Gaussian of its own standard deviation (n,) [s]."""
+    """Poses (n, 6) of rows `STEP` apart, row k averaged by a Gaussian of standard deviation `widths[k]` [s]."""
     most = math.ceil(4.0 * widths.max() / STEP)
     padded = np.pad(pose, ((most, most), (0, 0)), mode="edge")
     weights = np.exp(-0.5 * (STEP * np.arange(-most, most + 1) / np.maximum(widths, 1e-3)[:, None]) ** 2)
@@ -60,17 +60,17 @@ def averaged(pose: np.ndarray, widths: np.ndarray) -> np.ndarray:
 
 
 def fix_move(robot: RobotParameters, move: Move) -> tuple[Move, dict[str, float]]:
-    """The move low-passed, and changed where it breaks a limit, in small steps until it breaks none; and by how much.
+    """A feasible version of a move, and by how much it differs.
 
-    It is judged as others read the rows that are written. Where a pose is outside, the move comes nearer to home; where
-    it is too fast or needs too much torque, it is averaged over a longer time, up to `SMOOTHEST`; then all of it is
-    slowed.
+    The move is changed in small steps until the rows as written break no limit. A pose outside of the workspace comes
+    nearer to home. Motion that is too fast, or needs too much torque, is averaged over a longer time, up to
+    `SMOOTHEST`; beyond that the whole move is slowed.
     """
     from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
     def near(values: np.ndarray) -> np.ndarray:
-        widest = maximum_filter1d(values, 2 * round(NEAR / STEP) + 1, mode="nearest")
-        return np.asarray(gaussian_filter1d(widest, 0.5 * NEAR / STEP, mode="nearest"))
+        widest = maximum_filter1d(values, 2 * round(CHANGE_RANGE / STEP) + 1, mode="nearest")
+        return np.asarray(gaussian_filter1d(widest, 0.5 * CHANGE_RANGE / STEP, mode="nearest"))
 
     signal, robot = motion_of(move), _of_head(robot)
     if signal.length < 3.0 * STEP:
@@ -89,10 +89,10 @@ def fix_move(robot: RobotParameters, move: Move) -> tuple[Move, dict[str, float]
         motion = motion_of(made)
         times = feasibility.checked_times(motion.end)
         margins = limit_margins(robot, limits, *motion.evaluate(times), STANDARD_GRAVITY)
-        # Where a rod cannot span, the rest is unknown: NaN.
+        # Out of reach of a rod, all other margins are NaN.
         kept = {name: (values >= RESERVE * (bounds[name] or 1.0)).all(axis=1) for name, values in margins.items()}
-        outside = ~np.all([good for name, good in kept.items() if name not in MOVING], axis=0)
-        fast = ~np.all([kept[name] for name in MOVING], axis=0) & ~outside
+        outside = ~np.all([good for name, good in kept.items() if name not in MOTION_LIMITS], axis=0)
+        fast = ~np.all([kept[name] for name in MOTION_LIMITS], axis=0) & ~outside
         if not (outside | fast).any():
             break
         at = np.minimum(np.rint(motion.own_time(times)[0] / (STEP * slowdown)).astype(int), count - 1)
@@ -114,14 +114,17 @@ def fix_move(robot: RobotParameters, move: Move) -> tuple[Move, dict[str, float]
 
 
 def shaped_move(scenario: Scenario, move: Move) -> tuple[Move, np.ndarray]:
-    """Poses whose crank angles are what a scenario's controller would send to servos that take angles.
+    """Poses whose crank angles are the commands of a scenario's controller to position servos.
 
-    A player that solves inverse kinematics alone then sends the same angles. Six such angles need not have a pose: then
-    it is that of the largest share of what they differ by from the angles of the move; these shares [-] too.
+    A player that only solves inverse kinematics then sends these commands. Six commanded angles may have no pose. Then
+    the commands are scaled towards the angles of the move by the largest share that has one.
+
+    Returns:
+        The move; the shares (n,) [-], 1 where nothing was scaled.
     """
-    if scenario.belief.robot.tool is not None:
+    if scenario.controller_model.robot.tool is not None:
         sections = "robot", *(["model.robot"] if scenario.model.robot is not None else [])
-        # A motion of its own would still be the tool's.
+        # The reference of the scenario would still be one of the tool.
         still = {"reference": {"kind": "hold"}, "initial_offset": [0.0] * 6}
         scenario = scenario.replace({**still, **{f"{section}.tool": None for section in sections}})
     motion = motion_of(move)
@@ -142,7 +145,10 @@ def shaped_move(scenario: Scenario, move: Move) -> tuple[Move, np.ndarray]:
             got = f"at {min(time + ahead, end):.2f} s: {error}"
             allowed = "poses that the head can take; try: stewart-drake moves fix"
             raise ConfigurationError("move", got, allowed) from None
-    robot, made = scenario.belief.robot, move.at(move.time[0] + motion.own_time(times)[0])._replace(time=times)
+    robot, made = (
+        scenario.controller_model.robot,
+        move.at(move.time[0] + motion.own_time(times)[0])._replace(time=times),
+    )
     pose, shares = motion.evaluate(times)[0], np.zeros(len(times))
     plain = kinematics.inverse_kinematics(robot, pose)
     for share in np.linspace(1.0, 0.0, _SHARES, endpoint=False):

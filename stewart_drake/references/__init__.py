@@ -12,12 +12,24 @@ from stewart_drake.references.motions import (
     SumReference,
     center_of,
     paper_reference,
-)  # fmt: skip
+)
 from stewart_drake.references.recorded import RecordedReference
 from stewart_drake.references.surgical import BreathingReference, HeartbeatReference, TremorReference
 
 __all__ = [
-    "AdjustedReference", "AnyReference", "BreathingReference", "HeartbeatReference", "HoldReference",
-    "MinimumJerkReference", "RecordedReference", "Reference", "SineBurstsReference", "SineReference", "SplineReference",
-    "SumReference", "TremorReference", "center_of", "paper_reference",
-]  # fmt: skip
+    "AdjustedReference",
+    "AnyReference",
+    "BreathingReference",
+    "HeartbeatReference",
+    "HoldReference",
+    "MinimumJerkReference",
+    "RecordedReference",
+    "Reference",
+    "SineBurstsReference",
+    "SineReference",
+    "SplineReference",
+    "SumReference",
+    "TremorReference",
+    "center_of",
+    "paper_reference",
+]

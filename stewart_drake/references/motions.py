@@ -1,4 +1,4 @@
-"""What every reference motion is; motions of formulas, paths through poses, and motions made of other motions."""
+"""Reference motions: the protocol, formulas, paths through poses, and combinations of motions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ SixPhases = Annotated[tuple[Phase, Phase, Phase, Phase, Phase, Phase], one_for_s
 
 @runtime_checkable
 class Reference(Protocol):
-    """Anything that tells where the platform should be."""
+    """A motion of the platform."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pose (..., 6) [rad, m], rate [rad/s, m/s], acceleration [rad/s^2, m/s^2] at times (...) [s]."""
@@ -34,8 +34,14 @@ def smoothstep(u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return value, 30.0 * u**2 * (1.0 - u) ** 2, 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u)
 
 
-def bump(x: np.ndarray, begin: Any, top: Any, fall: Any, end: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Smooth steps from 0 at `begin` to 1 at `top`, and from 1 at `fall` to 0 at `end`; with its two derivatives."""
+def bump(
+    x: np.ndarray,
+    begin: float | np.ndarray,
+    top: float | np.ndarray,
+    fall: float | np.ndarray,
+    end: float | np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Smooth step from 0 at `begin` to 1 at `top`, and from 1 at `fall` to 0 at `end`; with two derivatives."""
     rising = x < top
     width = np.where(rising, top - begin, end - fall)
     value, slope, curvature = smoothstep(np.where(rising, x - begin, end - x) / width)
@@ -55,7 +61,7 @@ class HoldReference(Section, key="reference"):
 
 
 class SineReference(Section, key="reference"):
-    """A sine on each axis: center + amplitude sin(angular_frequency t + phase).
+    """Sines on all axes: center + amplitude sin(angular_frequency t + phase).
 
     By default the paper's (37), (38): roll pi/6 sin(2 t), Z = 0.05 sin(2 t) + 0.3, the rest zero.
     """
@@ -64,11 +70,11 @@ class SineReference(Section, key="reference"):
     center: Annotated[Vector6, HOME_POSE] = HOME
     """[rad, m] centre of the motion; by default the robot's home."""
     amplitude: Annotated[Vector6, LENGTH] = (math.pi / 6.0, 0.0, 0.0, 0.0, 0.0, 0.05)
-    """[rad, m] amplitude on each axis."""
+    """[rad, m] amplitude by axis."""
     angular_frequency: SixNumbers = (2.0, 2.0, 2.0, 2.0, 2.0, 2.0)
-    """[rad/s] angular frequency of each axis."""
+    """[rad/s] angular frequency by axis."""
     phase: SixPhases = ZERO
-    """[rad] phase of each axis at time 0."""
+    """[rad] phase by axis at time 0."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         omega, amplitude = np.array(self.angular_frequency), np.array(self.amplitude)
@@ -81,7 +87,7 @@ paper_reference = SineReference
 
 
 class SineBurstsReference(Section, key="reference"):
-    """A sequence of sine bursts, each with its own frequency and amplitudes, faded in and out.
+    """A sequence of sine bursts with different frequencies and amplitudes, faded in and out.
 
     Every burst starts and ends at rest in the centre; the fades are quintic, so accelerations are continuous. After the
     last burst the centre is held.
@@ -89,15 +95,15 @@ class SineBurstsReference(Section, key="reference"):
 
     kind: Literal["sine_bursts"] = "sine_bursts"
     frequency: Annotated[tuple[Positive, ...], Field(min_length=1)]
-    """[Hz] frequency of each burst."""
+    """[Hz] frequencies of the bursts."""
     amplitude: tuple[Vector6, ...]
-    """[rad, m] amplitude on each axis, one vector per burst."""
+    """[rad, m] amplitude by axis, one vector per burst."""
     center: Annotated[Vector6, HOME_POSE] = HOME
     """[rad, m] centre of the motion; by default the robot's home."""
     phase: SixPhases = ZERO
-    """[rad] phase of each axis, the same in every burst."""
+    """[rad] phase by axis, the same in every burst."""
     burst_duration: Positive = 1.6
-    """[s] duration of each burst, its fades included."""
+    """[s] duration of a burst, its fades included."""
     fade: Positive = 0.2
     """[s] duration of the fade at each end of a burst."""
 
@@ -125,7 +131,7 @@ class SineBurstsReference(Section, key="reference"):
 
 
 class MinimumJerkReference(Section, key="reference"):
-    """Straight minimum-jerk moves from pose to pose, at rest at each of them.
+    """Straight minimum-jerk moves from pose to pose, with rest at every pose.
 
     After the last move the pose is held. The profile is 6 u^5 - 15 u^4 + 10 u^3 of a hand's reach: T. Flash, N. Hogan,
     J. Neurosci. 5 (1985) 1688.
@@ -135,9 +141,9 @@ class MinimumJerkReference(Section, key="reference"):
     poses: Annotated[tuple[Vector6, ...], Field(min_length=2)]
     """[rad, m] the poses, at least 2; the motion starts at the first."""
     durations: tuple[Positive, ...]
-    """[s] duration of each move, one fewer than poses."""
+    """[s] durations of the moves, one fewer than poses."""
     dwell: tuple[NotNegative, ...] = ()
-    """[s] rest before each move, as many as moves; empty for none."""
+    """[s] rests before the moves, as many as moves; empty for none."""
 
     def rules(self) -> None:
         moves = len(self.poses) - 1
@@ -151,10 +157,10 @@ class MinimumJerkReference(Section, key="reference"):
         dwell = np.array(self.dwell) if len(self.dwell) else np.zeros_like(durations)
         starts = np.cumsum(dwell + durations) - durations
         move = np.clip(np.searchsorted(starts, time, side="right") - 1, 0, len(durations) - 1)
-        lasts = durations[move][..., None]
-        value, slope, curvature = smoothstep((time - starts[move])[..., None] / lasts)
+        duration = durations[move][..., None]
+        value, slope, curvature = smoothstep((time - starts[move])[..., None] / duration)
         step = poses[move + 1] - poses[move]
-        return poses[move] + step * value, step * slope / lasts, step * curvature / lasts**2
+        return poses[move] + step * value, step * slope / duration, step * curvature / duration**2
 
 
 class SplineReference(Section, key="reference"):
@@ -162,7 +168,7 @@ class SplineReference(Section, key="reference"):
 
     kind: Literal["spline"] = "spline"
     times: tuple[NotNegative, ...]
-    """[s] time of each pose: ascending, at least 2, the first not below 0."""
+    """[s] times of the poses: ascending, at least 2, the first not below 0."""
     poses: Annotated[tuple[Vector6, ...], Field(min_length=2)]
     """[rad, m] the poses, one per time."""
 
@@ -191,15 +197,15 @@ Scale = Annotated[Real, Field(ge=0.0, le=1e6)]
 
 
 class SumReference(Section, key="reference"):
-    """Sum of several motions, such as breathing, heartbeat and tremor: center + sum (part - the part's own centre).
+    """Sum of several motions, such as breathing, heartbeat and tremor: center + sum (part - centre of the part).
 
     Angles are added as angles: exact for one axis, a good approximation while tilts are small.
     """
 
     kind: Literal["sum"] = "sum"
     parts: Annotated[tuple[Motion, ...], Field(min_length=1)]
-    """Motions to add, at least one. Each counts relative to its own centre: `center` of a wave; the first pose of a
-    path, a recording or a hold."""
+    """Motions to add, at least one, relative to their centres: `center` of a wave; the first pose of a path, a
+    recording or a hold."""
     center: Vector6 | None = None
     """[rad, m] centre of the sum; null takes the first part's."""
 
@@ -212,7 +218,7 @@ class SumReference(Section, key="reference"):
 class AdjustedReference(Section, key="reference"):
     """A motion scaled, slowed or faded in: center + scale fade(s) (motion(s) - center) at s = t / slowdown.
 
-    Slowed by k, rates are 1/k and accelerations 1/k^2 of what they were.
+    Slowing by k divides rates by k and accelerations by k^2.
     """
 
     kind: Literal["adjusted"] = "adjusted"
@@ -223,24 +229,24 @@ class AdjustedReference(Section, key="reference"):
     slowdown: Annotated[Real, Field(ge=1e-6, le=1e6)] = 1.0
     """[-] factor by which the motion takes longer, 1e-6 to 1e6."""
     fade_in: Scale = 0.0
-    """[s] duration of the quintic fade-in from rest in the centre, in the motion's own time; 0 for none."""
+    """[s] duration of the quintic fade-in from rest in the centre, before slowing; 0 for none."""
     center: Vector6 | None = None
-    """[rad, m] centre of the scaling; null takes the motion's own: `center` of a wave; the first pose of a path, a
+    """[rad, m] centre of the scaling; null takes that of the motion: `center` of a wave; the first pose of a path, a
     recording or a hold."""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        own = np.asarray(time, dtype=float) / self.slowdown
-        pose, rate, acceleration = self.motion.evaluate(own)
-        middle = center_of(self)
-        away = pose - middle
+        motion_time = np.asarray(time, dtype=float) / self.slowdown
+        pose, rate, acceleration = self.motion.evaluate(motion_time)
+        center = center_of(self)
+        offset = pose - center
         if self.fade_in > 0.0:
-            fade, slope, curvature = (values[..., None] for values in smoothstep(own / self.fade_in))
+            fade, slope, curvature = (values[..., None] for values in smoothstep(motion_time / self.fade_in))
             slope, curvature = slope / self.fade_in, curvature / self.fade_in**2
-            acceleration = fade * acceleration + 2.0 * slope * rate + curvature * away
-            rate = fade * rate + slope * away
-            away = fade * away
-        faster, faster_still = self.scale / self.slowdown, self.scale / self.slowdown**2
-        return middle + self.scale * away, faster * rate, faster_still * acceleration
+            acceleration = fade * acceleration + 2.0 * slope * rate + curvature * offset
+            rate = fade * rate + slope * offset
+            offset = fade * offset
+        rate_scale, acceleration_scale = self.scale / self.slowdown, self.scale / self.slowdown**2
+        return center + self.scale * offset, rate_scale * rate, acceleration_scale * acceleration
 
 
 AnyReference = Annotated[Reference, REFERENCES]

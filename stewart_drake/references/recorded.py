@@ -1,4 +1,4 @@
-"""Motions from elsewhere: recorded in a file, or said by a class of the user's own."""
+"""Recorded motions, and motions by a user's class or function."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from stewart_drake.references.rows import CUTOFF, MOST_ROWS, SETTLE, RowsMotion
 
 QUANTITIES = (("time", "s"), *POSE)
 MAX_RECORDING_BYTES = 100_000_000
-_FAR_APART = 60.0  # [s]
-DIFFERENCE = 1e-4  # [s] of differences of a pose that is given alone.
+_MAX_STEP = 60.0  # [s] between rows.
+DIFFERENCE = 1e-4  # [s] of differences, for a function that returns only a pose.
 
 
 class RecordedReference(Section, key="reference"):
     """A recorded motion: the rows of a CSV or Parquet file, the first at t = 0.
 
-    Times ascend. Angles may wrap: jumps by a whole turn are removed. Rows of 2.2 times the cutoff or faster are
-    resampled on their median step, with the jitter of their times averaged out, and low-passed without delay; what that
-    changes is told. Through slower rows, the way points of a motion, passes a cubic spline (not-a-knot). A run starts
-    with the recording's own velocity, and slows down on its way, to rest at its last row.
+    Times ascend. Angles may wrap: jumps by a whole turn are removed. Rows at 2.2 times the cutoff or faster are
+    resampled on their median step, with the jitter of their times averaged out, and low-passed without delay; a line
+    reports the change. Slower rows are way points of a cubic spline (not-a-knot). A run starts with the recording's
+    velocity, and slows down along the path, to rest at its last row.
     """
 
     kind: Literal["recorded"] = "recorded"
@@ -44,23 +44,23 @@ class RecordedReference(Section, key="reference"):
     time_scale: Positive = 1.0
     """[s] duration of one unit of the file's time: 0.001 for a file in milliseconds, 2 for half the speed."""
     cutoff: Positive | None = CUTOFF
-    """[Hz] of the low pass, as the motion is played; null takes rows and their times as they are."""
+    """[Hz] of the low pass, in the time of playing; null takes rows and times unchanged."""
     settle: Annotated[Real, Field(ge=1e-6, le=1e6)] = SETTLE
     """[s] in which it slows down to rest at the last row, half of it after the last row's time."""
 
     @property
     def of_platform(self) -> bool:
-        """Whether its format is that of a product, which tells of the platform, whatever tool there is."""
+        """Whether its format is that of a product, whose poses are those of the platform, with a tool too."""
         return Path(self.motion_file).suffix.lower() in RECORDINGS.names
 
     @property
     def end(self) -> float:
-        """[s] from when on it is at rest."""
+        """[s] time from which it is at rest."""
         return self._motion.end
 
     @property
     def note(self) -> str:
-        """By how much the rows were changed; empty where it is next to nothing."""
+        """Changes of the rows, for reports; empty if negligible."""
         return self._motion.note
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -69,15 +69,15 @@ class RecordedReference(Section, key="reference"):
     @cached_property
     def _motion(self) -> RowsMotion:
         data, key = load_recording(self.motion_file), f"recorded motion {self.motion_file}"
-        apart = self.time_scale * float(np.median(np.diff(data[:, 0])))
-        if apart > _FAR_APART:
-            allowed = f"rows less than {_FAR_APART:g} s apart; are the times in ms? name the column time_ms"
-            raise ConfigurationError(key, f"rows {apart:g} s apart", allowed)
+        step = self.time_scale * float(np.median(np.diff(data[:, 0])))
+        if step > _MAX_STEP:
+            allowed = f"rows less than {_MAX_STEP:g} s apart; are the times in ms? name the column time_ms"
+            raise ConfigurationError(key, f"rows {step:g} s apart", allowed)
         return RowsMotion(data[:, 0] * self.time_scale, data[:, 1:], self.cutoff, self.settle, key)
 
 
 def load_recording(path: str | Path) -> np.ndarray:
-    """A recorded motion (n, 7) [s, rad, m] of a file with `QUANTITIES`, checked; wrapped angles without jumps."""
+    """A recorded motion (n, 7) [s, rad, m] from a file with `QUANTITIES`, checked, without jumps by whole turns."""
     path = Path(path)
     key = f"recorded motion {path}"
     if (ending := path.suffix.lower()) in RECORDINGS.names:
@@ -112,14 +112,13 @@ class UserReference(UserMade, key="reference"):
 
     @property
     def note(self) -> str:
-        """What to say of its rates, once it was asked; empty where they are its own."""
-        return (
-            "rates of the motion are differences of its poses" if type(vars(self).get("made")) is _PoseFunction else ""
-        )
+        """For reports, once it was evaluated; empty if it returns rates."""
+        differences = type(vars(self).get("made")) is _PoseFunction
+        return "rates of the motion are differences of its poses" if differences else ""
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         times = np.asarray(time, dtype=float)
-        answers = np.reshape([self._answer(each) for each in times.ravel().tolist()], (*times.shape, 3, 6))
+        answers = np.reshape([self._answer(t) for t in times.ravel().tolist()], (*times.shape, 3, 6))
         return answers[..., 0, :], answers[..., 1, :], answers[..., 2, :]
 
     def _answer(self, time: float) -> list[np.ndarray]:
@@ -133,14 +132,14 @@ class UserReference(UserMade, key="reference"):
 
 
 class _PoseFunction:
-    """A function from time [s] to pose (6,) as a motion, by central differences; it is not asked before 0."""
+    """A motion by a function from time [s] to pose (6,), with central differences, at times from 0."""
 
     def __init__(self, section: UserReference, pose: Callable[[float], Any]) -> None:
         self._section, self._pose = section, pose
 
     def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         middle, h = max(time, DIFFERENCE), DIFFERENCE
-        before, here, after = (self._at(each) for each in (middle - h, middle, middle + h))
+        before, here, after = (self._at(t) for t in (middle - h, middle, middle + h))
         acceleration = (after - 2.0 * here + before) / h**2
         rate = (after - before) / (2.0 * h) - (middle - time) * acceleration
         return self._at(time), rate, acceleration

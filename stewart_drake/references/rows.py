@@ -1,4 +1,4 @@
-"""One motion from the rows of a recording: even in time, without noise above a frequency, at rest at its last row."""
+"""A smooth motion from the rows of a recording: even in time, low-passed, at rest at its last row."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.references.paced import risen, timed
 
 CUTOFF = 20.0
-"""[Hz] of the low pass: most of what a head does is slower, and a loop of 50 Hz follows nothing that is faster."""
+"""[Hz] of the low pass: a head moves more slowly, and a loop of 50 Hz follows nothing faster."""
 SETTLE = 0.25
 """[s] in which a motion slows down to rest."""
 WINDOW = 1.0
 """[s] over which stamps are averaged."""
 MOST_ROWS = 1_000_000
 _ORDER = 4  # Of the Butterworth filter; it runs forwards and backwards.
-_PERIODS = 10.0  # Of the cutoff, in which what the filter does at an end fades.
-_FASTER = 2.2  # Rows a period of the cutoff from which on a filter is possible.
-_GAP = 1.95  # Median steps between two stamps from which on rows are missing: jitter makes less than 2.
+_PERIODS = 10.0  # Of the cutoff, after which the filter's transient has decayed.
+_MIN_RATE = 2.2  # Rows per period of the cutoff, at least, for a filter.
+_GAP = 1.95  # Median steps between two stamps with missing rows between them; jitter makes less than 2.
 
 
 class RowsMotion:
-    """A motion through rows of poses, for `moves`, `run` and `drive` alike.
+    """A motion through rows of poses, for `moves`, `run` and `drive`.
 
-    Rows of 2.2 times the cutoff or faster, for ten of its periods at least, are a signal. Their stamps are
-    averaged over `WINDOW`, which moves none by more than half of the median step: so far it is jitter. The poses are
-    resampled on that step, and low-passed forwards and backwards, so without delay. Other rows are way points, and so
-    are all without a cutoff: a cubic spline passes through them as they are. At the end the motion slows down on its
-    way, to rest at its last row.
+    Rows at 2.2 times the cutoff or faster, for at least ten of its periods, are a signal. Their stamps are averaged
+    over `WINDOW`, which removes jitter: no stamp moves by more than half of the median step. The poses are resampled on
+    that step, and low-passed forwards and backwards, so without delay. Other rows are way points, as are all without a
+    cutoff: a cubic spline passes through them. At the end the motion slows down along its path, to rest at its last
+    row.
 
     Args:
-        time: (n,) [s] of the rows, which do not go back.
+        time: (n,) [s] of the rows, not decreasing.
         pose: (n, 6) [rad, m], angles without jumps.
         cutoff: [Hz] of the low pass; None for none.
         settle: [s] in which it slows down.
-        name: What messages call it.
+        name: For messages.
     """
 
     def __init__(
@@ -53,13 +53,13 @@ class RowsMotion:
         from scipy.interpolate import CubicSpline, PchipInterpolator
         from scipy.signal import butter, sosfiltfilt
 
-        # Where most stamps are those of the row before, the mean.
+        # The mean, if most stamps repeat that of the row before.
         step = float(np.median(np.diff(time))) or float(time[-1] - time[0]) / (len(time) - 1)
         self.evened, self._cutoff, time = 0.0, cutoff, time - time[0]
-        if is_signal := cutoff is not None and _FASTER * cutoff * step < 1.0 and time[-1] * cutoff > _PERIODS:
+        if is_signal := cutoff is not None and _MIN_RATE * cutoff * step < 1.0 and time[-1] * cutoff > _PERIODS:
             even = _evened(time, step)
             self.evened, time = float(np.abs(even - time).max()), even
-        # Of rows at the same time the first.
+        # The first of rows at the same time.
         time, new = np.unique(np.maximum.accumulate(time - time[0]), return_index=True)
         pose = pose[new]
         self.length = float(time[-1])
@@ -80,14 +80,14 @@ class RowsMotion:
         self._splines: tuple[Any, ...] = spline, spline.derivative(1), spline.derivative(2)
         self._settle = min(settle, self.length)
         self.end = self.length + 0.5 * self._settle
-        """[s] from when on it is at rest."""
+        """[s] time from which it is at rest."""
 
     @cached_property
     def note(self) -> str:
-        """By how much stamps and poses were changed; empty where that is too little to tell."""
+        """Changes of stamps and poses, for reports; empty if negligible."""
         moved = self.rows(self._grid) - self.recorded(self._grid)
         far = 1e3 * np.linalg.norm(moved[:, 3:], axis=1), np.degrees(np.linalg.norm(moved[:, :3], axis=1))
-        # In texts down to a tenth of a micrometre.
+        # Rounded to a tenth of a micrometre.
         (mm, most_mm), (deg, most_deg) = ((round(np.sqrt(np.mean(x**2)), 4), round(x.max(), 4)) for x in far)
         notes = [f"stamps evened by up to {1e3 * self.evened:.2g} ms"] if self.evened > 1e-4 else []
         if most_mm > 1e-2 or most_deg > 1e-2:
@@ -100,17 +100,17 @@ class RowsMotion:
         return np.asarray(self._splines[0](time))
 
     def own_time(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """[s] of the rows at times from 0, the pace at which that goes, and its change [1/s]."""
-        gone, pace, change = risen(time - (self.length - 0.5 * self._settle), self._settle)
-        own = np.where(time < self.end, np.clip(time - gone, 0.0, self.length), self.length)
-        return own, 1.0 - pace, -change
+        """Time of the rows [s] at times from 0, its pace and the change of that [1/s]."""
+        lost, pace, change = risen(time - (self.length - 0.5 * self._settle), self._settle)
+        rows_time = np.where(time < self.end, np.clip(time - lost, 0.0, self.length), self.length)
+        return rows_time, 1.0 - pace, -change
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Pose, rate and acceleration (..., 6) at times [s] from 0."""
         time = np.asarray(time, dtype=float)
-        own, pace, change = self.own_time(time)
+        rows_time, pace, change = self.own_time(time)
         pace, change = np.where(time < 0.0, 0.0, pace), np.where(time < 0.0, 0.0, change)
-        pose, rate, acceleration = (spline(own) for spline in self._splines)
+        pose, rate, acceleration = (spline(rows_time) for spline in self._splines)
         return timed((pose, rate, acceleration), pace, change)
 
 

@@ -19,11 +19,11 @@ _SLOW_BAND = (0.04, 0.15)
 """[Hz] low-frequency band of heart-rate variability, Task Force of the ESC and NASPE, Circulation 93 (1996) 1043."""
 _SLOW_SINES = 3
 _TREMOR_SINES = 24
-"""Enough that the sum looks like noise: it repeats after minutes, and its peaks are near-normal. Assumed."""
+"""The sum looks like noise: it repeats after minutes, and its peaks are near-normal. Assumed."""
 
 
 class BreathingReference(Section, key="reference"):
-    """Breathing: center + excursion cos^(2 order)(pi frequency t - phase) on each axis, longest at end-exhale.
+    """Breathing: center + excursion cos^(2 order)(pi frequency t - phase) by axis, longest at end-exhale.
 
     A. E. Lujan et al., Med. Phys. 26 (1999) 715, with z0 = center, b = -excursion; default size of lower lung lobes, 12
     mm cranio-caudal and 2 mm across: Y. Seppenwoolde et al., Int. J. Radiat. Oncol. Biol. Phys. 53 (2002) 822; axes
@@ -56,7 +56,7 @@ class BreathingReference(Section, key="reference"):
 class HeartbeatReference(Section, key="reference"):
     """A heartbeat: a periodic wave of several harmonics at a varying rate, optionally with premature beats.
 
-    On each axis center + excursion w(2 pi beats(t) - phase), w(x) = sum a_k cos(k x - p_k) scaled to 1 from end to end:
+    By axis center + excursion w(2 pi beats(t) - phase), w(x) = sum a_k cos(k x - p_k) scaled to 1 from end to end:
     R. Ginhoux et al., IEEE Trans. Robot. 21 (2005) 67; the default harmonics, sizes and phases of the axes are assumed.
 
     The rate is rate (1 + respiratory_variation sin(2 pi respiratory_frequency t) + slow part), the slow part a seeded
@@ -69,15 +69,15 @@ class HeartbeatReference(Section, key="reference"):
     center: Annotated[Vector6, HOME_POSE] = HOME
     """[rad, m] mean of the wave; by default the robot's home."""
     excursion: Vector6 = (0.0, 0.0, 0.0, 0.003, 0.002, 0.006)
-    """[rad, m] peak-to-peak size on each axis; its sign is the direction."""
+    """[rad, m] peak-to-peak size by axis; its sign is the direction."""
     rate: Positive = 1.25
     """[Hz] mean heart rate, above 0; 1-2 Hz is usual."""
     phase: SixPhases = (0.0, 0.0, 0.0, 0.8, 0.4, 0.0)
-    """[rad] lag of each axis, 2 pi for a beat; different lags turn the line into a loop."""
+    """[rad] lag by axis, 2 pi for a beat; different lags turn the line into a loop."""
     harmonics: Annotated[tuple[Real, ...], Field(min_length=1, max_length=20)] = (1.0, 0.6, 0.35, 0.15, 0.05)
     """[-] relative amplitudes a_k of the harmonics 1, 2, ... of the rate; at most 20."""
     harmonic_phase: tuple[Phase, ...] = (0.0, 0.5, 1.0, 1.5, 2.0)
-    """[rad] phases p_k of the harmonics, one each."""
+    """[rad] phases p_k, one per harmonic."""
     respiratory_variation: Share = 0.02
     """[-] amplitude of the rate's variation with breathing (respiratory sinus arrhythmia), relative to the rate."""
     respiratory_frequency: Positive = 0.25
@@ -90,7 +90,7 @@ class HeartbeatReference(Section, key="reference"):
     premature_beats: tuple[Annotated[Count, Field(ge=1, le=10**6)], ...] = ()
     """Numbers of the premature beats, ascending, at least 2 apart; beat 0 begins at t = 0."""
     prematurity: Annotated[NotNegative, Field(le=0.7)] = 0.4
-    """[-] how much too early premature beats come, as a fraction of a beat, 0 to 0.7."""
+    """[-] how early premature beats come, as a fraction of a beat, 0 to 0.7."""
 
     def rules(self) -> None:
         if not any(self.harmonics):
@@ -115,14 +115,14 @@ class HeartbeatReference(Section, key="reference"):
         return np.array(self.center) + size * wave, size * slope * speed, size * (curvature * speed**2 + slope * change)
 
     def beats(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Beats so far (...) [-], its first and second derivative; a premature one comes ahead smoothly."""
+        """Number of beats (...) [-], its first and second derivative; premature ones are blended in smoothly."""
         t = np.asarray(time, dtype=float)
         omega, share, start = self._variation
         angle = omega * t[..., None] + start
         count = self.rate * (t + (np.cos(start) - np.cos(angle)) @ (share / omega))
         speed = self.rate * (1.0 + np.sin(angle) @ share)
         change = self.rate * (np.cos(angle) @ (share * omega))
-        # Of no premature beats, one that came long ago.
+        # Without premature beats, one long ago.
         beats, most = np.array(self.premature_beats or [-1e9], dtype=float), self.prematurity
         beat = beats[np.minimum(np.searchsorted(beats + 1.0, count), len(beats) - 1)]
         bumps = bump(count, beat - 1.0, beat - most, beat - most, beat + 1.0)
@@ -131,7 +131,7 @@ class HeartbeatReference(Section, key="reference"):
 
     @cached_property
     def _variation(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Angular frequency [rad/s], share of the rate [-] and phase [rad] of each sine in the heart's rate."""
+        """Angular frequencies [rad/s], shares of the rate [-] and phases [rad] of the sines in the heart rate."""
         frequency, phase = random_sines(self.seed, _SLOW_BAND, 1, _SLOW_SINES)
         omega = 2.0 * math.pi * np.append(self.respiratory_frequency, frequency[0])
         share = np.append(self.respiratory_variation, np.full(_SLOW_SINES, self.slow_variation / _SLOW_SINES))
@@ -142,16 +142,16 @@ class HeartbeatReference(Section, key="reference"):
         """Harmonics (k,), for a wave of 1 from end to end; extrema by roots of a polynomial in exp(i x)."""
         weights = np.array(self.harmonics) / np.abs(self.harmonics).max()
         order, lag = np.arange(1, len(weights) + 1), np.array(self.harmonic_phase)
-        # Next to the rest of the wave what is smaller would only overflow.
-        heard = np.where(np.abs(weights) > 1e-12, weights, 0.0)
-        half = 1j * order * heard * np.exp(-1j * lag)
+        # Negligible weights would overflow.
+        weights_used = np.where(np.abs(weights) > 1e-12, weights, 0.0)
+        half = 1j * order * weights_used * np.exp(-1j * lag)
         places = np.angle(np.roots(np.concatenate([half[::-1], [0.0], half.conj()])))
         wave = np.cos(order * places[:, None] - lag) @ weights
         return weights / (wave.max() - wave.min())
 
 
 class TremorReference(Section, key="reference"):
-    """Physiological tremor of a hand: on each axis a seeded sum of sines in a frequency band.
+    """Physiological tremor of a hand: by axis a seeded sum of sines in a frequency band.
 
     A peak at 6-12 Hz, errors of 0.14 to 0.29 mm RMS over three axes: T. S. Wells et al., IEEE SMC (2013). That the axes
     are independent, and the spectrum flat within the band, is assumed.
@@ -161,7 +161,7 @@ class TremorReference(Section, key="reference"):
     center: Annotated[Vector6, HOME_POSE] = HOME
     """[rad, m] centre of the motion; by default the robot's home."""
     rms: Vector6 = (0.0, 0.0, 0.0, 1e-4, 1e-4, 1e-4)
-    """[rad, m] RMS on each axis over a long time; peaks are some three times as large."""
+    """[rad, m] RMS by axis over a long time; peaks are some three times as large."""
     low: Positive = 6.0
     """[Hz] lower end of the band, above 0."""
     high: Positive = 12.0
@@ -188,7 +188,7 @@ class TremorReference(Section, key="reference"):
 
 
 def random_sines(seed: int, band: tuple[float, float], rows: int, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [Hz] and phases [rad], (rows, count) each; one frequency in each of `count` equal parts of a band."""
+    """Frequencies [Hz] and phases [rad], (rows, count); one frequency in every one of `count` equal parts of a band."""
     rng = np.random.default_rng(seed)
     low, high = band
     frequency = low + (high - low) * (np.arange(count) + rng.uniform(size=(rows, count))) / count

@@ -1,6 +1,6 @@
-"""A robot's geometry: whether it can stand at home, and how a table of measured positions gives it.
+"""A robot's geometry: checks of its home pose, and parameters from a table of measured positions.
 
-Messages name leg, number, and what was perhaps meant: millimetres, a mirrored axis, joints that are swapped.
+Messages name the leg, the number and the likely mistake: millimetres, a mirrored axis, swapped joints.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
     from stewart_drake.robot.robot_parameters import RobotParameters
 
 _SLACK = 1e-6
-"""[rad] by which directions of joints that meet in one point may seem out of order."""
+"""[rad] tolerance of the order of joints, for joints that coincide."""
 
 
 def check_geometry(robot: RobotParameters) -> None:
-    """Refuses directions that are not perpendicular unit vectors, joints out of order, and a home that is none."""
-    for leg, own in enumerate(robot.legs or ()):
-        quarter = own.crank_quarter_direction or (0.0, 0.0, 1.0)
+    """Refuses directions that are not perpendicular, joints out of order, and a home pose that is not reachable."""
+    for leg, parameters in enumerate(robot.legs or ()):
+        quarter = parameters.crank_quarter_direction or (0.0, 0.0, 1.0)
         if abs(np.dot(robot.crank_zero_directions[leg], quarter)) > DIRECTION_TOLERANCE:
             allowed = "a direction perpendicular to crank_zero_direction"
             raise ConfigurationError(f"robot.legs.{leg}.crank_quarter_direction", quarter, allowed)
@@ -46,7 +46,7 @@ def check_geometry(robot: RobotParameters) -> None:
 
 
 def check_order(shafts: np.ndarray, joints: np.ndarray) -> None:
-    """Refuses platform joints (6, 3) that do not follow each other around the platform as the shafts (6, 3) do."""
+    """Refuses platform joints (6, 3) that are not in the order of the shafts (6, 3) around z."""
     x, y = np.moveaxis(np.stack([shafts, joints]) - np.stack([shafts, joints]).mean(axis=1, keepdims=True), -1, 0)[:2]
     around = np.arctan2(y, x)
     order = np.argsort(around[0], kind="stable")
@@ -86,15 +86,15 @@ def _check_home(robot: RobotParameters) -> None:
         raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", (float(low[leg]), float(high[leg])), allowed)
 
 
-def wrapped(angle: Any) -> Any:
+def wrapped(angle: np.ndarray) -> np.ndarray:
     """Angles within half a turn of zero."""
-    return np.remainder(angle + math.pi, 2.0 * math.pi) - math.pi
+    return np.asarray(np.remainder(angle + math.pi, 2.0 * math.pi) - math.pi)
 
 
 # --- from a table ---
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
-"""[m] of one of a table's unit."""
+"""[m] of a table's unit."""
 Unit = Literal["m", "mm", "cm", "in"]
 Cranks = Literal["outwards", "towards", "away", "tangential"]
 _POSITIONS = ("shaft_x", "shaft_y", "shaft_z", "joint_x", "joint_y", "joint_z")
@@ -105,65 +105,67 @@ _POLAR = {
     ("joint_radius", "joint_deg"): ("joint_x", "joint_y"),
     ("crank_deg",): ("crank_x", "crank_y", "crank_z"),
 }
-"""Columns about z -> those that they are in place of."""
-_NEARER = 1.5
-"""[-] by which a shaft is nearer to its partner than to any other; else the pairs are not clear."""
+"""Columns in polar coordinates about z -> the columns that they replace."""
+_PAIR_RATIO = 1.5
+"""[-] least distance of a shaft to the other shafts, over that to its partner, for clear pairs."""
 _SIDE = 0.05
-"""[-] sine of the angle by which a partner is to one side of the middle, at least."""
+"""[-] least sine of the angle between a partner and the centre."""
 LEVEL_SPREAD = 0.01
-"""[-] of the rod by which the heights may differ at which the legs' cranks are level."""
+"""[-] of the rod: largest difference between the heights at which the legs' cranks are level."""
 _ALL_LENGTHS = ("crank_length", "rod_length", "home_height", "link_radius", "characteristic_length")
 _LENGTHS: dict[str, Any] = {**dict.fromkeys(_ALL_LENGTHS, Size), "platform_center_of_mass": Signed3}
 _CHECKED = _LENGTHS | dict.fromkeys(("platform_mass", "rod_mass", "crank_mass"), Size)
 _MAX_BYTES = 1_000_000
 _LINK_RADIUS = 0.005 / 0.11
-"""Of a link, over the characteristic length: as the paper's robot has it."""
+"""Over the characteristic length, as in the paper's robot."""
 
 
 class FromTable(NamedTuple):
-    """What a table gives."""
+    """Result of `from_table`."""
 
     parameters: dict[str, Any]  # Of `RobotParameters`.
-    pairs: tuple[tuple[int, int], ...]  # Legs of the motors that are partners; empty where it makes no difference.
-    warning: str  # What is perhaps wrong; empty if nothing.
+    pairs: tuple[tuple[int, int], ...]  # Legs of paired motors; empty if pairs are not needed.
+    warning: str  # A likely mistake; empty if none.
 
 
 def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, Any]) -> FromTable:
-    """Parameters of a robot whose legs stand in a table.
+    """Parameters of a robot from a table of its legs.
 
     Columns of a CSV file, by name, in any order: shaft_x to shaft_z (in B) and joint_x to joint_z (in P), in place of x
     and y also shaft_radius and shaft_deg, joint_radius and joint_deg; if need be crank_x to crank_z (where the crank
     points at theta = 0) or crank_deg, its angle seen from above, and up_x to up_z (at pi/2), crank_length, rod_length,
     branch, pair (one number for the two motors of a pair), and low and high [rad], its stops. Lines that begin with #
-    are remarks.
+    are comments.
 
-    What neither table nor parameters say: `home_height` is where the cranks are level in the mean; of the branches each
-    leg takes the one nearer to level there; `characteristic_length` is the joints' mean distance from the axis of P;
-    links are as slender as the paper's; inertias are those of uniform bars and of a disc.
+    Missing parameters: at `home_height` the cranks are level in the mean; the branch of a leg is the one that is nearer
+    to level there; `characteristic_length` is the joints' mean distance from the axis of P; links are as slender as the
+    paper's; inertias are those of uniform bars and of a disc.
 
     Raises:
-        ConfigurationError: Too few rows, columns or numbers; an unknown choice; cranks that point to or from a partner
-            which is not clear; a leg that cannot be level.
+        ConfigurationError: Too few rows, columns or numbers; an unknown choice; cranks that point to or from a partner,
+            where pairs are not clear; a leg that cannot be level.
     """
     check_value("unit", unit, Unit)
     check_value("cranks", cranks, Cranks)
     for name in parameters.keys() & _CHECKED.keys():
         check_value(f"robot.{name}", parameters[name], _CHECKED[name])
     scale = UNITS[unit]
-    own = {name: scale * np.array(value) if name in _LENGTHS else value for name, value in parameters.items()}
+    chosen = {name: scale * np.array(value) if name in _LENGTHS else value for name, value in parameters.items()}
     columns = _columns(table)
-    # Whole millimetres in metres have a tail of rounding, which nobody wants to read.
+    # Without the rounding of millimetres in metres.
     shafts, joints = (np.round(scale * _vectors(columns, end), 12) for end in ("shaft", "joint"))
-    # A mirrored axis would else be told as a rod that is too short.
+    # Before the lengths: with a mirrored axis rods seem too short.
     check_order(shafts, joints)
     lengths: dict[str, np.ndarray] = {}
     for name in ("crank_length", "rod_length"):
-        if name not in columns and name not in own:
+        if name not in columns and name not in chosen:
             raise ConfigurationError(f"table: {name}", None, f"a column {name}, or {name} for all legs")
-        lengths[name] = np.round(scale * columns[name], 12) if name in columns else np.full(LEG_COUNT, float(own[name]))
+        lengths[name] = (
+            np.round(scale * columns[name], 12) if name in columns else np.full(LEG_COUNT, float(chosen[name]))
+        )
     pairs = () if "crank_x" in columns or cranks == "outwards" else _pairs(columns, shafts)
     zero, up = _directions(columns, shafts, cranks, pairs)
-    rods, height = lengths["rod_length"], own.get("home_height")
+    rods, height = lengths["rod_length"], chosen.get("home_height")
     levels = _levels(shafts + lengths["crank_length"][:, None] * zero, joints, rods, height is None)
     height = float(levels.mean() if height is None else height)
     span = joints + [0.0, 0.0, height] - shafts
@@ -184,7 +186,7 @@ def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, 
         "characteristic_length": size,
         "link_radius": _LINK_RADIUS * size,
         **{name: float(values.mean()) for name, values in lengths.items()},
-        **own,
+        **chosen,
     }
     return FromTable(_inertias(known) | known, pairs, _spread(levels, rods))
 
@@ -243,7 +245,7 @@ def _check_header(key: str, given: Sequence[str]) -> None:
 
 
 def _pairs(columns: Mapping[str, np.ndarray], shafts: np.ndarray) -> tuple[tuple[int, int], ...]:
-    """Legs of the motors that are partners: those of one number in the column `pair`, or clearly beside each other."""
+    """Legs of paired motors: with one number in the column `pair`, or clearly beside each other."""
     if "pair" in columns:
         pairs = [tuple(np.flatnonzero(columns["pair"] == number).tolist()) for number in np.unique(columns["pair"])]
         if {len(legs) for legs in pairs} != {2}:
@@ -252,7 +254,7 @@ def _pairs(columns: Mapping[str, np.ndarray], shafts: np.ndarray) -> tuple[tuple
         return tuple(sorted((one, other) for one, other in pairs))
     apart = np.linalg.norm(shafts[:, None] - shafts, axis=-1) + np.diag(np.full(LEG_COUNT, np.inf))
     (near, far), (partner, other) = np.sort(apart)[:, :2].T, apart.argsort(kind="stable")[:, :2].T
-    clear = (far >= _NEARER * near) & (partner[partner] == np.arange(LEG_COUNT))
+    clear = (far >= _PAIR_RATIO * near) & (partner[partner] == np.arange(LEG_COUNT))
     if not clear.all():
         leg = int(clear.argmin())
         got = f"none; shaft {partner[leg]} is {near[leg]:.4g} m from shaft {leg}, shaft {other[leg]} {far[leg]:.4g} m"
@@ -278,7 +280,7 @@ def _directions(
         across = np.cross([0.0, 0.0, 1.0], outwards)
         side = np.sum(across * towards, axis=-1, keepdims=True)
         sizes = np.linalg.norm(across, axis=-1, keepdims=True) * np.linalg.norm(towards, axis=-1, keepdims=True)
-        # A partner straight across the middle is on neither side.
+        # A partner straight across the centre is on neither side.
         zero = -np.where(np.abs(side) > _SIDE * sizes, np.sign(side), 0.0) * across
     else:
         zero = towards if cranks == "towards" else -towards
@@ -292,12 +294,11 @@ def _unit(vectors: np.ndarray, name: str, allowed: str) -> np.ndarray:
     size = np.linalg.norm(vectors, axis=-1, keepdims=True)
     if size.min() < 1e-9:
         raise ConfigurationError(f"table: {name} of leg {int(size.argmin())}", "no direction", allowed)
-    unit: np.ndarray = vectors / size
-    return unit
+    return np.asarray(vectors / size)
 
 
 def _levels(tips: np.ndarray, joints: np.ndarray, rods: np.ndarray, needed: bool) -> np.ndarray:
-    """(6,) [m] heights of P at which a leg's crank is at theta = 0; NaN where a rod is too short and none is needed."""
+    """Heights (6,) [m] of P at which the legs' cranks are at theta = 0; NaN where a rod is too short, if not needed."""
     across = np.linalg.norm((joints - tips)[:, :2], axis=-1)
     if needed and (rods <= across).any():
         leg = int((rods - across).argmin())
@@ -309,7 +310,7 @@ def _levels(tips: np.ndarray, joints: np.ndarray, rods: np.ndarray, needed: bool
 
 
 def _spread(levels: np.ndarray, rods: np.ndarray) -> str:
-    """What is to say where the cranks are level at heights (6,) [m] that are far apart; empty if they are not."""
+    """Warning if the cranks are level at very different heights (6,) [m]; else empty."""
     if not np.ptp(levels) > LEVEL_SPREAD * rods.min():
         return ""
     leg = int(np.abs(levels - np.median(levels)).argmax())
@@ -322,7 +323,7 @@ def _spread(levels: np.ndarray, rods: np.ndarray) -> str:
 
 
 def _branches(span: np.ndarray, zero: np.ndarray, up: np.ndarray, lengths: Mapping[str, np.ndarray]) -> np.ndarray:
-    """(6,) -1 or 1: which brings each crank nearer to theta = 0 at home."""
+    """Branches (6,), -1 or 1, of which the crank is nearer to theta = 0 at home."""
     along, across, constant = crank_equation(span, zero, up, lengths["crank_length"], lengths["rod_length"])
     size = np.maximum(np.hypot(along, across), np.finfo(float).tiny)
     middle, spread = np.arctan2(across, along), np.arccos(np.clip(constant / size, -1.0, 1.0))
@@ -330,7 +331,7 @@ def _branches(span: np.ndarray, zero: np.ndarray, up: np.ndarray, lengths: Mappi
 
 
 def _inertias(known: Mapping[str, Any]) -> dict[str, Any]:
-    """Inertias [kg m^2] of uniform bars and of a disc, for the masses that are given."""
+    """Inertias [kg m^2] of uniform bars and of a disc, for the known masses."""
     values: dict[str, Any] = {}
     radius, size = known["link_radius"], known["characteristic_length"]
     for name, along in (("rod", 2), ("crank", 0)):

@@ -1,10 +1,10 @@
-"""What one leg of a robot has of its own."""
+"""Parameters of one leg, and the crank equation."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field
@@ -14,9 +14,9 @@ from stewart_drake.base.errors import ConfigurationError
 
 LEG_COUNT = 6
 SMALLEST_SIZE, LARGEST_SIZE = 1e-12, 1e6
-"""Sizes, masses and inertias beyond these, in SI units, are slips of the pen; squares of them leave floating point."""
+"""Limits of sizes, masses and inertias in SI units: beyond them are typing errors, and squares that overflow."""
 DIRECTION_TOLERANCE = 1e-6
-"""How far directions may be from unit length and from perpendicular to each other; what is left is taken away."""
+"""By which directions may differ from unit vectors, and from perpendicular ones; the rest is corrected."""
 JOINT_SWING = math.radians(65.0)
 """[rad] largest swing of a rod from home that joints allow; assumed, the paper's motion needs 63.1 deg."""
 Size = Annotated[Real, Field(ge=SMALLEST_SIZE, le=LARGEST_SIZE)]
@@ -35,8 +35,8 @@ Size3 = tuple[Size, Size, Size]
 Signed3 = tuple[Signed, Signed, Signed]
 
 
-# Python takes True and 1.0 for 1.
-Branch = Annotated[Literal[-1, 1], BeforeValidator(lambda given: given if type(given) is int else None)]
+# In Python True == 1.0 == 1.
+Branch = Annotated[Literal[-1, 1], BeforeValidator(lambda value: value if type(value) is int else None)]
 
 
 class LegParameters(Section, key="robot.legs"):
@@ -47,8 +47,8 @@ class LegParameters(Section, key="robot.legs"):
     crank_zero_direction: Signed3 | None = None
     """[-] unit vector in B along which the crank points at theta = 0."""
     crank_quarter_direction: Signed3 | None = None
-    """[-] unit vector in B along which the crank points at theta = pi/2; null for up. The motor axis is zero x
-    quarter."""
+    """[-] unit vector in B along which the crank points at theta = pi/2; null for up. The motor axis is the cross
+    product of both directions."""
     platform_joint: Position | None = None
     """[m] centre of the platform joint in P."""
     crank_length: Length | None = None
@@ -75,26 +75,32 @@ class LegParameters(Section, key="robot.legs"):
                 raise ConfigurationError(name, getattr(self, name), f"a vector of length 1, not {length:.4g}")
 
 
-def _leg(given: Any) -> Any:
+def _leg(value: object) -> object:
     # Null, or a mapping with arrays.
-    return {key: plain(value) for key, value in (given or {}).items()} if isinstance(given, Mapping | None) else given
+    return {key: plain(item) for key, item in (value or {}).items()} if isinstance(value, Mapping | None) else value
 
 
 _Leg = Annotated[LegParameters, BeforeValidator(_leg, json_schema_input_type=LegParameters | None)]
 SixLegs = tuple[_Leg, _Leg, _Leg, _Leg, _Leg, _Leg]
 
 
-def crank_equation(span: Any, zero: Any, quarter: Any, crank: Any, rod: Any) -> tuple[Any, Any, Any]:
-    """A, B, C (..., 6) [m^2] of A cos(theta) + B sin(theta) = C; what (6) leaves unsaid.
+def crank_equation(
+    span: np.ndarray, zero: np.ndarray, quarter: np.ndarray, crank: np.ndarray, rod: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients A, B, C (..., 6) [m^2] of A cos(theta) + B sin(theta) = C, which (6) does not give.
 
-    Of spans (..., 6, 3) [m] from motor shaft to platform joint, the L_i of (2), directions (6, 3) of the cranks at
-    theta = 0 and pi/2, and lengths (6,) [m] of cranks and rods. `mechanics.kinematics_laws.legs_at` has it compiled.
+    Args:
+        span: (..., 6, 3) [m] from motor shaft to platform joint, L_i of (2).
+        zero: (6, 3) directions of the cranks at theta = 0.
+        quarter: (6, 3) at theta = pi/2.
+        crank: (6,) [m] lengths.
+        rod: (6,) [m] lengths.
     """
     along, up = (2.0 * crank * np.sum(span * direction, axis=-1) for direction in (zero, quarter))
     return along, up, np.sum(span * span, axis=-1) + crank * crank - rod * rod
 
 
-def crank_angles(along: Any, up: Any, constant: Any, branch: Any) -> Any:
+def crank_angles(along: np.ndarray, up: np.ndarray, constant: np.ndarray, branch: float | np.ndarray) -> np.ndarray:
     """Solution theta (..., 6) [rad] of `crank_equation` in closed form; NaN where a rod cannot span."""
     with np.errstate(invalid="ignore"):
-        return np.arctan2(up, along) + branch * np.arccos(constant / np.hypot(along, up))
+        return np.asarray(np.arctan2(up, along) + branch * np.arccos(constant / np.hypot(along, up)))

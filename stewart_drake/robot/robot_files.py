@@ -14,7 +14,7 @@ from stewart_drake.base.yaml_files import find_file, read_mapping, shipped_folde
 from stewart_drake.robot.robot_parameters import RobotParameters
 
 _ABOUT = ("name", "about", "mjcf")
-"""Keys that a file has beside those of the robot: texts for people, and a model of it for MuJoCo."""
+"""Further keys of a file: texts, and a model for MuJoCo."""
 
 
 def robot_names() -> list[str]:
@@ -48,7 +48,7 @@ def save_robot(robot: RobotParameters, path: str | Path, about: str = "") -> Non
     usual = RobotParameters().to_dict()
     data = {key: value for key, value in robot.to_dict().items() if value != usual[key]}
     if robot.legs is not None:
-        data["legs"] = [{key: each for key, each in leg.items() if each is not None} for leg in data["legs"]]
+        data["legs"] = [{key: value for key, value in leg.items() if value is not None} for leg in data["legs"]]
     write_atomically(Path(path), to_yaml(({"about": about} if about else {}) | data).encode())
 
 
@@ -58,12 +58,12 @@ def robot_section(name: str | Path) -> dict[str, Any]:
 
 
 def robot_about(name: str | Path) -> str:
-    """What a robot's file says of it in a line; empty if nothing."""
+    """The line about a robot in its file; empty if there is none."""
     return str(_read(name).get("about", ""))
 
 
 def robot_model(name: str | Path) -> str:
-    """The MJCF that a robot's file names, see `plant.model_file`: a path, or a file in a Python package.
+    """The MJCF named in a robot's file, see `plant.model_file`: a path, or a file in a Python package.
 
     Raises:
         ConfigurationError: No such robot, or its file names none.
@@ -79,16 +79,16 @@ def _read(name: str | Path) -> dict[str, Any]:
     return read_mapping("robot", find_file("robot", name), 100)
 
 
-def _section(given: Any) -> Any:
-    """The section that a name or a file stands for."""
-    if not isinstance(given, (str, Path)):
-        return given
+def _section(value: object) -> object:
+    """The section of a name or a file."""
+    if not isinstance(value, (str, Path)):
+        return value
     try:
-        return robot_section(given)
+        return robot_section(value)
     except ConfigurationError as error:
         if error.key != "robot file":
             raise
-        raise as_problem(ConfigurationError("", str(given), error.allowed)) from None
+        raise as_problem(ConfigurationError("", str(value), error.allowed)) from None
 
 
 _Name = Annotated[str, Field(description=f"Path of a YAML file, or one of {', '.join(robot_names())}.")]

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stewart_drake.base.config import Section
 from stewart_drake.base.errors import ConfigurationError
@@ -28,11 +29,11 @@ from stewart_drake.robot.leg import (
 )
 
 _PAIR_ANGLES = np.arange(LEG_COUNT) // 2 * (2.0 * math.pi / 3.0)
-"""(6,) [rad] direction c_k of each leg's pair."""
+"""(6,) [rad] directions c_k of the legs' pairs."""
 _SIDE = np.where(np.arange(LEG_COUNT) % 2 == 0, -1.0, 1.0)
 
 
-def _frozen(values: Any) -> np.ndarray:
+def _frozen(values: ArrayLike) -> np.ndarray:
     array = np.array(values, dtype=float)
     array.flags.writeable = False
     return array
@@ -42,13 +43,13 @@ def _spread(values: np.ndarray) -> str:
     return " to ".join(dict.fromkeys(f"{value:.4g}" for value in (values.min(), values.max())))
 
 
-def _of_legs(name: str, symmetric: Callable[[Any], np.ndarray]) -> cached_property[np.ndarray]:
-    """The symmetric robot's values of each leg, overwritten by those that legs have of their own."""
+def _of_legs(name: str, symmetric: Callable[[RobotParameters], np.ndarray]) -> cached_property[np.ndarray]:
+    """Values of the six legs: the symmetric robot's, overwritten by those of `legs`."""
 
     def values(robot: RobotParameters) -> np.ndarray:
         result = symmetric(robot)
-        for leg, own in enumerate(robot.legs or ()):
-            value = getattr(own, name)
+        for leg, parameters in enumerate(robot.legs or ()):
+            value = getattr(parameters, name)
             if value is not None:
                 result[leg] = value / np.linalg.norm(value) if name.endswith("direction") else value
         return _frozen(result)
@@ -57,7 +58,7 @@ def _of_legs(name: str, symmetric: Callable[[Any], np.ndarray]) -> cached_proper
 
 
 class Tool(Section, key="robot.tool"):
-    """A point of the platform, and axes, which poses, motions, errors and pushes are told of in place of P's."""
+    """A frame on the platform that replaces P in poses, motions, errors and wrenches."""
 
     position: Position = (0.0, 0.0, 0.0)
     """[m] of the point in P."""
@@ -65,7 +66,7 @@ class Tool(Section, key="robot.tool"):
     """[rad] roll, pitch, yaw of the axes in P."""
 
     def rules(self) -> None:
-        """At home the Euler angles of a pose are regular."""
+        """The Euler angles at home are regular."""
         if not abs(self.orientation[1]) < math.radians(85.0):
             allowed = "a pitch below 85 deg, near which the Euler angles of a pose are singular"
             raise ConfigurationError("orientation", self.orientation, allowed)
@@ -75,18 +76,18 @@ class RobotParameters(Section, key="robot"):
     """One robot: six motors in three pairs 120 deg apart, six cranks, six rods, one platform.
 
     Leg i = 0..5 belongs to pair k = i // 2 and is on side s = -1 (even i) or +1 (odd i) of the pair's direction
-    c_k = 120 deg * k. Frames: B at the base, z up; P at the centre of the platform's joint circle. Poses tell of P, or
-    of a `tool`. Lengths, radii,
-    masses and inertias are those of Table I; the joint positions are our own, because the paper gives none.
+    c_k = 120 deg * k. Frames: B at the base, z up; P at the centre of the platform's joint circle. Poses are those of
+    P, or of a `tool`. Lengths, radii, masses and inertias are those of Table I; the joint positions are assumed,
+    because the paper gives none.
 
-    The parameters describe a symmetric robot; `legs` gives single legs values of their own. Mechanics, plant and
-    pictures read neither: they read the arrays of all six legs, `shaft_positions` to `crank_angle_ranges`.
+    The parameters describe a symmetric robot; `legs` has other values for single legs. Mechanics, plants and pictures
+    use the arrays of all six legs, `shaft_positions` to `crank_angle_ranges`.
 
-    Deviation: crank Izz is 5.9e-5 kg m^2, not the printed 6.0e-5, which breaks the triangle inequality.
+    Deviation: crank Izz is 5.9e-5 kg m^2, not the printed 6.0e-5, which violates the triangle inequality.
 
     Raises:
-        ConfigurationError: A value is not finite, not positive where it must be, an inertia is not that of a body,
-            directions of a crank are not perpendicular unit vectors, or the home pose cannot be assembled.
+        ConfigurationError: A value is not finite or not positive, an inertia is not physical, directions of a crank are
+            not perpendicular unit vectors, or the home pose cannot be assembled.
     """
 
     adapts = False
@@ -98,7 +99,7 @@ class RobotParameters(Section, key="robot"):
     shaft_half_angle: HalfAngle = math.radians(8.0)
     """[rad] half the angle between the two shafts of a pair, seen from the centre."""
     crank_plane_angle: Signed = 0.0
-    """[rad] from the pair's direction to each crank's plane, about z, away from its partner: pi/2 is tangential."""
+    """[rad] from the pair's direction to a crank's plane, about z, away from its partner: pi/2 is tangential."""
     platform_joint_radius: Length = 0.11
     """[m] radius of the circle of the platform's joints."""
     platform_half_angle: HalfAngle = math.radians(52.0)
@@ -110,18 +111,18 @@ class RobotParameters(Section, key="robot"):
     home_height: Length = 0.30
     """[m] Z of P in B at home, the pose of P with roll, pitch, yaw, X, Y zero."""
     tool: Tool | None = None
-    """What poses tell of the platform: a tool's point and axes; null for P. Keys of the robot are in P all the same."""
+    """Frame of poses, a tool's point and axes; null for P. The robot's keys are in P in both cases."""
     branch: Branch = -1
     """Sign of the acos in the inverse kinematics: -1 (default) or +1; it selects one of the two crank angles."""
     legs: SixLegs | None = None
     """Six sections with the parameters that differ from leg to leg; null for none."""
 
     rod_mass: Size = 0.08
-    """[kg] mass of each rod."""
+    """[kg] mass of a rod."""
     rod_inertia: Size3 = (0.0016, 0.0016, 0.000001)
     """[kg m^2] inertia of a rod about its centre of mass; z along the rod, Ixx = Iyy."""
     crank_mass: Size = 0.04
-    """[kg] mass of each crank."""
+    """[kg] mass of a crank."""
     crank_inertia: Size3 = (0.000001, 0.000058, 0.000059)
     """[kg m^2] inertia of a crank about its centre of mass; x along the crank, y along the motor axis."""
     platform_mass: Size = 1.0
@@ -147,7 +148,7 @@ class RobotParameters(Section, key="robot"):
     """[m] length that makes rotations comparable with translations in conditioning."""
 
     def rules(self) -> None:
-        """Inertias are those of bodies, and the robot can stand at home."""
+        """Inertias are physical, and the home pose can be assembled."""
         for name in ("rod_inertia", "crank_inertia", "platform_inertia", "base_inertia"):
             inertia = getattr(self, name)
             if 2.0 * max(inertia) > sum(inertia) * (1.0 + 1e-12):
@@ -165,25 +166,25 @@ class RobotParameters(Section, key="robot"):
     def from_table(
         cls, table: Any, *, unit: Unit = "m", cranks: Cranks = "outwards", **parameters: Any
     ) -> RobotParameters:
-        """A robot from measured positions, a row a leg; `geometry.from_table` fills in what they leave open.
+        """A robot from measured positions, a row per leg; for missing parameters see `geometry.from_table`.
 
-        Where the legs' cranks are level at heights that differ, a warning names the leg.
+        If the legs' cranks are level at different heights, a warning names the leg.
 
         Args:
             table: Path of a CSV file, or an array (6, 6) of motor shafts in B and platform joints in P; in a seventh
-                column the two motors of a pair have one number.
+                column the two motors of a pair have the same number.
             unit: Of all lengths in the table and in `parameters`: m, mm, cm or in.
-            cranks: Where level cranks point, if the table does not say: outwards from the centre, towards the other
-                motor of the pair, away from it, or tangential, at right angles to outwards and away from it.
+            cranks: Direction of level cranks, if not in the table: outwards from the centre, towards the other motor of
+                the pair, away from it, or tangential, at right angles to outwards and away from it.
             **parameters: Any of this class.
 
         Raises:
             ConfigurationError: As for the class; a table with too few rows, columns or numbers.
         """
-        made = from_table(table, unit, cranks, parameters)
-        if made.warning:
-            warnings.warn(made.warning, stacklevel=2)
-        return cls(**made.parameters)
+        result = from_table(table, unit, cranks, parameters)
+        if result.warning:
+            warnings.warn(result.warning, stacklevel=2)
+        return cls(**result.parameters)
 
     @cached_property
     def home_pose(self) -> np.ndarray:
@@ -210,10 +211,10 @@ class RobotParameters(Section, key="robot"):
 
     @cached_property
     def crank_yaws(self) -> np.ndarray:
-        """(6,) [rad] about z, from x to each crank's direction at zero, where that is horizontal."""
-        own = [leg.crank_zero_direction for leg in self.legs] if self.legs else [None] * LEG_COUNT
+        """(6,) [rad] about z, from x to the cranks' directions at zero, where these are horizontal."""
+        given = [leg.crank_zero_direction for leg in self.legs] if self.legs else [None] * LEG_COUNT
         symmetric = _PAIR_ANGLES + _SIDE * self.crank_plane_angle
-        return _frozen([at if h is None else math.atan2(h[1], h[0]) for h, at in zip(own, symmetric, strict=True)])
+        return _frozen([yaw if h is None else math.atan2(h[1], h[0]) for h, yaw in zip(given, symmetric, strict=True)])
 
     shaft_positions = _of_legs(
         "shaft_position", lambda r: r._around(r.shaft_half_angle, r.shaft_circle_radius, r.shaft_height)
@@ -224,37 +225,37 @@ class RobotParameters(Section, key="robot"):
     crank_zero_directions = _of_legs("crank_zero_direction", lambda r: r._around(r.crank_plane_angle, 1.0))
     """(6, 3) [-] unit vectors h_i in B along which the cranks point at theta = 0."""
     crank_lengths = _of_legs("crank_length", lambda r: np.full(LEG_COUNT, r.crank_length))
-    """(6,) [m] |a| of each leg."""
+    """(6,) [m] |a|."""
     rod_lengths = _of_legs("rod_length", lambda r: np.full(LEG_COUNT, r.rod_length))
-    """(6,) [m] rod of each leg."""
+    """(6,) [m]"""
     branches = _of_legs("branch", lambda r: np.full(LEG_COUNT, float(r.branch)))
-    """(6,) [-] branch of each leg, -1.0 or 1.0."""
+    """(6,) -1.0 or 1.0."""
     crank_angle_ranges = _of_legs("crank_angle_range", lambda _: np.tile([-np.inf, np.inf], (LEG_COUNT, 1)))
-    """(6, 2) [rad] lowest and highest theta of each leg; infinite where there is no stop."""
+    """(6, 2) [rad] lowest and highest theta; infinite without a stop."""
     _crank_ups = _of_legs("crank_quarter_direction", lambda _: np.tile([0.0, 0.0, 1.0], (LEG_COUNT, 1)))
     effort_limits = _of_legs("effort_limit", lambda r: np.full(LEG_COUNT, r.effort_limit))
-    """(6,) [N m] largest torque of each motor."""
+    """(6,) [N m] largest torques of the motors."""
 
     @cached_property
     def platform_joints(self) -> np.ndarray:
         """(6, 3) [m] joint centres p_i in the tool's frame, or P."""
-        return self._told(self.joints_in_platform)
+        return self._in_tool(self.joints_in_platform)
 
     @cached_property
     def platform_origin(self) -> np.ndarray:
         """(3,) [m] centre of the platform, the origin of P, in the tool's frame; zeros without one."""
-        return self._told(np.zeros(3))
+        return self._in_tool(np.zeros(3))
 
     @cached_property
     def platform_center(self) -> np.ndarray:
         """(3,) [m] centre of mass of the platform in the tool's frame, or P."""
-        return self._told(np.array(self.platform_center_of_mass))
+        return self._in_tool(np.array(self.platform_center_of_mass))
 
     @cached_property
     def crank_quarter_directions(self) -> np.ndarray:
         """(6, 3) [-] unit vectors in B along which the cranks point at theta = pi/2."""
-        h, given = self.crank_zero_directions, self._crank_ups
-        across = given - np.sum(given * h, axis=-1, keepdims=True) * h
+        h, up = self.crank_zero_directions, self._crank_ups
+        across = up - np.sum(up * h, axis=-1, keepdims=True) * h
         return _frozen(across / np.linalg.norm(across, axis=-1, keepdims=True))
 
     @cached_property
@@ -270,9 +271,9 @@ class RobotParameters(Section, key="robot"):
 
     @cached_property
     def crank_axis_inertias(self) -> np.ndarray:
-        """(6,) [kg m^2] inertia of each crank about its motor axis, rotor included."""
-        own = self.crank_inertia[1] + self.crank_mass * (0.5 * self.crank_lengths) ** 2
-        return _frozen(own + self.rotor_inertia)
+        """(6,) [kg m^2] inertia of the cranks about their motor axes, rotor included."""
+        crank = self.crank_inertia[1] + self.crank_mass * (0.5 * self.crank_lengths) ** 2
+        return _frozen(crank + self.rotor_inertia)
 
     @cached_property
     def platform_moment(self) -> np.ndarray:
@@ -292,7 +293,7 @@ class RobotParameters(Section, key="robot"):
 
     @cached_property
     def base_radius(self) -> float:
-        """[m] of the circle about z that holds all motor shafts."""
+        """[m] radius of the circle about z that contains all motor shafts."""
         return float(np.hypot(self.shaft_positions[:, 0], self.shaft_positions[:, 1]).max())
 
     @cached_property
@@ -302,16 +303,16 @@ class RobotParameters(Section, key="robot"):
 
     @cached_property
     def platform_radius(self) -> float:
-        """[m] of the circle about z of P that holds all platform joints."""
+        """[m] radius of the circle about z of P that contains all platform joints."""
         return float(np.hypot(self.joints_in_platform[:, 0], self.joints_in_platform[:, 1]).max())
 
     @property
     def links_text(self) -> str:
-        """How long its links are, in words."""
+        """Lengths of its links, for messages."""
         return f"cranks {_spread(self.crank_lengths)} m, rods {_spread(self.rod_lengths)} m"
 
     def __repr__(self) -> str:
-        """What it is like, in five lines; `to_dict` has every number."""
+        """A summary in five lines; `to_dict` has all numbers."""
         shafts, joints = (np.hypot(*places.T[:2]) for places in (self.shaft_positions, self.joints_in_platform))
         masses = f"platform {self.platform_mass:.4g} kg, rod {self.rod_mass:.4g} kg, crank {self.crank_mass:.4g} kg"
         return (
@@ -323,7 +324,7 @@ class RobotParameters(Section, key="robot"):
         )
 
     def each_leg(self) -> list[dict[str, Any]]:
-        """What each leg has, its own or that of the symmetric robot, in plain values as `legs` takes them."""
+        """Values of all six legs, as `legs` takes them."""
         names = ("shaft_position", "crank_zero_direction", "crank_quarter_direction", "crank_length", "rod_length")
         legs: list[dict[str, Any]] = [
             {name: getattr(self, f"{name}s")[leg].tolist() for name in names} for leg in range(LEG_COUNT)
@@ -346,8 +347,8 @@ class RobotParameters(Section, key="robot"):
         inertia = np.diag(self.platform_inertia) + np.array([[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]])
         return _frozen(inertia if self.tool is None else self.tool_rotation.T @ inertia @ self.tool_rotation)
 
-    def _told(self, points: np.ndarray) -> np.ndarray:
-        """Points (..., 3) [m] of P in the tool's frame; without one as they are."""
+    def _in_tool(self, points: np.ndarray) -> np.ndarray:
+        """Points (..., 3) [m] of P in the tool's frame, or P."""
         return _frozen(points if self.tool is None else (points - self.tool_position) @ self.tool_rotation)
 
     def _around(self, half_angle: float, radius: float, height: float = 0.0) -> np.ndarray:

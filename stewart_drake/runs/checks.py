@@ -53,7 +53,7 @@ def refuse_unrunnable(scenario: Scenario) -> None:
 
 def check_scenario(scenario: Scenario) -> None:
     """Refuses a run whose reference leaves the limits, or at whose start the robot cannot stand."""
-    compared = (scenario.robot, scenario.belief, scenario.limits, scenario.safety, scenario.gravity)
+    compared = (scenario.robot, scenario.controller_model, scenario.limits, scenario.safety, scenario.gravity)
     moves = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
     subject = (*compared, *moves, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
     # A user's code is asked again.
@@ -198,7 +198,7 @@ def beliefs(scenario: Scenario) -> list[tuple[str, str, str]]:
             return f"{low:.4g} {unit}" if low == high else f"{low:.4g} to {high:.4g} {unit}"
         return "its own"
 
-    belief, nominal, plant = scenario.belief, scenario.nominal, scenario.plant
+    belief, nominal, plant = scenario.controller_model, scenario.default_model, scenario.plant
     own, facts = plant.simulated(scenario.robot)
     true, model = scenario.robot.to_dict() | own, belief.robot.to_dict()
     rows = [
@@ -257,7 +257,7 @@ def likely_cause(scenario: Scenario, ended: float) -> str:
 
 def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
     """Refuses what the safety layer would stop, if everything goes well."""
-    robot, gravity, *_ = scenario.belief
+    robot, gravity, *_ = scenario.controller_model
     try:
         with user_code(scenario), np.errstate(all="ignore"):
             time = sample_times(scenario.duration, scenario.controller.period)

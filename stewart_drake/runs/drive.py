@@ -51,7 +51,7 @@ HELD = "not_following", "not_moving", "holding"
 
 def as_logged(scenario: Scenario) -> Scenario:
     """The scenario of a log of `drive`, but for its duration: its robot is the believed one."""
-    return scenario if scenario.model.robot is None else scenario.replace(robot=scenario.belief.robot)
+    return scenario if scenario.model.robot is None else scenario.replace(robot=scenario.controller_model.robot)
 
 
 class Start(NamedTuple):
@@ -72,7 +72,11 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
             motion leaves the limits.
         MachineError: It cannot be reached.
     """
-    motors, reference, longest = scenario.belief.motors, scenario.reference, MAX_ROWS * scenario.reading_period
+    motors, reference, longest = (
+        scenario.controller_model.motors,
+        scenario.reference,
+        MAX_ROWS * scenario.reading_period,
+    )
     seconds = scenario.duration if seconds is None else seconds
     if not SHORTEST <= seconds <= longest:
         raise ConfigurationError("--for", seconds, f"from {SHORTEST} to {longest:g} s of the motion, {MAX_ROWS} ticks")
@@ -88,16 +92,16 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
         raise ConfigurationError("controller.period", period, allowed)
     motion = PacedMotion(reference, reference.evaluate(0.0)[0], RAMP)
     start = planned(scenario, machine, motion, machine.read().angles, seconds)
-    whole = check_reference(scenario.belief.robot, scenario.limits, motion, start.duration, scenario.gravity)
+    whole = check_reference(scenario.controller_model.robot, scenario.limits, motion, start.duration, scenario.gravity)
     whole.raise_if_infeasible()
     return start
 
 
 def planned(scenario: Scenario, machine: Machine, motion: PacedMotion, angles: np.ndarray, seconds: float) -> Start:
     """Plans the way from where a machine reads itself, (6,) [rad], to some seconds of a motion, which begins there."""
-    robot, begin = scenario.belief.robot, motion.goal
+    robot, begin = scenario.controller_model.robot, motion.goal
     try:
-        pose = _standing(robot, angles, scenario.belief.home)
+        pose = _standing(robot, angles, scenario.controller_model.home)
     except ConfigurationError:
         if machine.reads:
             raise
@@ -162,7 +166,7 @@ def held_controller(
         ahead = scenario.preview
         return Controller(held, {"reference": motion.row, "reference_ahead": lambda now: motion.row(now + ahead)})
     controller = Controller(held)
-    controller.step(inverse_kinematics(scenario.belief.robot, pose), 0.0, np.empty(6))
+    controller.step(inverse_kinematics(scenario.controller_model.robot, pose), 0.0, np.empty(6))
     return controller
 
 
@@ -189,8 +193,8 @@ class Drive:
         self, scenario: Scenario, machine: Machine, start: Start, journal: Path | None = None, most: int | None = None
     ) -> None:
         self._machine, self._motion, self._driven = machine, start.motion, scenario
-        self._robot, self._following = scenario.belief.robot, scenario.bounds.crank_angle or np.inf
-        self._ahead, self._command, self._holds = scenario.preview, np.empty(6), scenario.belief.motors.holds
+        self._robot, self._following = scenario.controller_model.robot, scenario.bounds.crank_angle or np.inf
+        self._ahead, self._command, self._holds = scenario.preview, np.empty(6), scenario.controller_model.motors.holds
         self._stale = STALE_HELD if self._holds else STALE
         self._journal, self._last = (journal, most), -1
         self._expected, self._measured = scenario.reading_period, machine.period if machine.paced else None

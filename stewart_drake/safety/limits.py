@@ -38,8 +38,8 @@ LIMITS = (
     (PARALLEL, "conditioning", False),
     (FOLLOWING, "following_error", False),
 )
-"""Monitors of what is measured, their keys of `safety`, and whether there is one of each leg. The rows of margins, in
-the order in which they are asked: what the first see explains the others."""
+"""Monitors of the measurement, their keys of `safety`, and whether they have a margin for each leg. The rows of margins
+have this order, in which they are checked: the first to trip explains the others."""
 _OF_ROW = np.array([(monitor, of_legs) for monitor, _, of_legs in LIMITS])
 
 TIE = 1e-6  # Difference of the numbers of two legs, in any unit, up to which the first leg is named.
@@ -272,7 +272,7 @@ def refuse_motion(
     time: np.ndarray,
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
-    """Refuses a motion (n, 6) with two derivatives that, followed without error, would trip a monitor."""
+    """Refuses a motion (n, 6) with two derivatives that would trip a monitor if it were followed without error."""
     pose, rate, _ = motion
     inverse_kinematics(robot, pose)
     _, start = _margins(robot, options, pose[:1], rate[:1], pose[:1])
@@ -287,7 +287,7 @@ def refuse_motion(
     ):
         given = getattr(options, key)
         limit = np.inf if given is None else given * scale
-        # Counted as the layer does it.
+        # Counted as in the layer.
         beyond = size > limit
         total = np.cumsum(np.where(beyond.any(axis=1), step, -step))
         total -= np.minimum(np.minimum.accumulate(total), 0.0)

@@ -77,15 +77,15 @@ class SafetyOptions(Section, key="safety"):
     deadline: Annotated[Natural, Field(le=1000)] | None = 2
     """[ticks] longest time without a new command; a constant `command_delay` does not count."""
     unexplained_torque: Fraction | None = 0.2
-    """[-] share of each motor's limit by which torques may differ from inverse dynamics of the readings: what payload,
-    pushes and friction that is not compensated take. A fifth of it counts where the difference is that of one
-    leg alone, two fifths where it is that of two; a blow of 5 ms passes. It detects wrong readings and motors.
-    Friction that is believed comes on top, and with `adaptation` what is not known of it yet."""
+    """[-] share of the motors' limit by which torques may differ from inverse dynamics of the readings, because of
+    payload, pushes and friction that is not compensated. A fifth of it applies where the difference is that of one
+    leg alone, two fifths where it is that of two; an impact of 5 ms passes. It detects wrong readings and motors.
+    Friction of `model` is added, and with `adaptation` its uncertainty."""
     frozen: Positive | None = FROZEN_AFTER
     """[rad] travel of a crank's reference after which readings are frozen that have all repeated to the last bit."""
     standstill: Fraction | None = TRAVEL_SHARE
-    """[-] share of its reference's travel in the last second that a crank must have moved by. Travel within 0.03 rad,
-    which play and friction take, does not count; a reference that moves by less is not compared."""
+    """[-] share of its reference's travel in the last second by which a crank must have moved. Travel within 0.03 rad
+    does not count, because of play and friction; a reference that moves by less is not compared."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
     """[-] largest command as a fraction of the motors' limit; commands are cut there. They may be there or beyond for
     0.1 s in sum."""
@@ -109,11 +109,11 @@ class SafetyOptions(Section, key="safety"):
     hold_ticks: Annotated[Natural, Field(le=20)] = 20
     """[ticks] longest repetition of the last good command, up to 20 ticks and 30 ms."""
     ramp_time: Positive = 0.02
-    """[s] time from the last good command to the safe hold; short, for that command may have been wrong for a while."""
+    """[s] time from the last good command to the safe hold; short, because that command may have been wrong."""
     safe_hold_time: Positive = 0.5
     """[s] duration of a safe hold, after which the run ends; a stop with a suspect leg ends after 40 ms."""
     monitors: tuple[Annotated[Any, OWN_MONITORS], ...] = ()
-    """Your own monitors, each a class by its import path, see `UserMonitor`."""
+    """Your monitors, classes by their import paths, see `UserMonitor`."""
 
     @property
     def monitor_names(self) -> tuple[str, ...]:
@@ -147,7 +147,7 @@ class SafetyInputs(NamedTuple):
 
 
 class UserMonitor(UserMade, key="safety.monitors"):
-    """Your own safety monitor: `look(inputs)` is called once a tick.
+    """A safety monitor of yours: `look(inputs)` is called once a tick.
 
     It gets `SafetyInputs` with a finite measurement. It returns the leg with a fault, -1 for the robot as a whole, None
     for no fault. If it reports a fault and no other monitor trips, the safety layer takes over from the controller.

@@ -63,7 +63,7 @@ class ResidualParams(Record):
 
 
 class ResidualState(Record):
-    """State of residual and observers; of the cranks where nothing else is said."""
+    """State of residual and observers, of the six cranks."""
 
     encoders: float  # 1 where angles have been read.
     friction_bound: float  # [N m] largest friction of a motor.

@@ -99,7 +99,7 @@ def machine_side(scenario: Scenario) -> Loop:
     Sensors run at the beginning of a step of the plant, what takes the command at its end.
     """
     sensors, step = sensor_parts(scenario), scenario.plant.time_step
-    first = scenario.belief.motors.initial_command(context_of(scenario, split=True))
+    first = scenario.controller_model.motors.initial_command(context_of(scenario, split=True))
     way = [part._replace(end_of_tick=True) for part in command_path(scenario, "command", first, step)]
     reading = {"reading": "reading" if sensors else "plant_pose"}
     return Loop((*sensors, *way), _pushes(scenario), "motor_torque", reading, {"command": first})
@@ -130,8 +130,8 @@ def sensor_parts(scenario: Scenario) -> list[Part]:
         for source, name in late.items()
     ]
     ports = [{port: str(part.source(port)) for port in part.inputs} for part in parts]
-    moved = [{port: late[source] for port, source in each.items() if source in late} for each in ports]
-    return [*delays, *(part.connected(**each) for part, each in zip(parts, moved, strict=True))]
+    moved = [{port: late[source] for port, source in inputs.items() if source in late} for inputs in ports]
+    return [*delays, *(part.connected(**inputs) for part, inputs in zip(parts, moved, strict=True))]
 
 
 def command_path(
@@ -156,7 +156,7 @@ def command_path(
         parts.append(safety.connected(command=command, **age))
         command = "safe_torque"
     elif scenario.controller.code is not None or scenario.link.faults:
-        # Motors would cut an infinite torque to one that looks valid; our own controllers never give one.
+        # Motors would cut an infinite torque to one that looks valid. The package's controllers never give one.
         finite = _FINITE._replace(constants={"what": scenario.motors.takes}, period=step)
         parts.append(finite.connected(command=command))
         command = "checked"
@@ -165,7 +165,7 @@ def command_path(
 
 
 def control_side(options: ControlOptions, split: bool = False, reading: str = "reading") -> ControlSide:
-    """The controller's side, from its own options alone; it reads the signal `reading`.
+    """The controller's side, from its options alone; it reads the signal `reading`.
 
     Raises:
         ConfigurationError: A weights file that is missing or corrupt; a user's code that cannot be used; an observer
@@ -179,23 +179,23 @@ def control_side(options: ControlOptions, split: bool = False, reading: str = "r
 
 def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
     """Robot, clock and neighbours for the parts of the controller's side; `split` as in `loop_of`."""
-    belief, tuner = options.belief, options.tuner.opened()
+    model, tuner = options.controller_model, options.tuner.opened()
     period, expected = options.controller.period, options.estimator.disturbance_density
     pose, rate = options.start()
     return LoopContext(
-        robot=belief.robot,
-        gravity=belief.gravity,
+        robot=model.robot,
+        gravity=model.gravity,
         period=period,
         pose=pose,
         pose_rate=rate,
-        initial_torque=standing_torque(belief.robot, pose, belief.gravity),
-        delay=belief.delay,
-        reading_age=belief.reading_age,
-        latency=belief.reading_age + period * (1 + belief.delay) + belief.motors.dead_time,
-        reading=belief.reading_size,
-        noise=max(belief.noise, SMALLEST_NOISE),
-        friction=belief.friction or FrictionCompensation(),
-        motors=belief.motors,
+        initial_torque=standing_torque(model.robot, pose, model.gravity),
+        delay=model.delay,
+        reading_age=model.reading_age,
+        latency=model.reading_age + period * (1 + model.delay) + model.motors.dead_time,
+        reading=model.reading_size,
+        noise=max(model.noise, SMALLEST_NOISE),
+        friction=model.friction or FrictionCompensation(),
+        motors=model.motors,
         tuner=tuner,
         disturbance=expected,
         feedback=options.controller.feedback,
@@ -267,7 +267,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
     }
 
     # Torques added to that of the controller: against friction, and against an observed disturbance.
-    corrected, friction = observed and controller.feedback, options.belief.friction
+    corrected, friction = observed and controller.feedback, options.controller_model.friction
     added: dict[str, Signal] = {"friction_torque": np.zeros(6), "disturbance_torque": np.zeros(6)}
     additions, end = [], []
     if friction is not None:
@@ -301,7 +301,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
             if "setting" in part.outputs:
                 logged["setting"] = "setting"
             if "disturbance" in part.outputs:
-                estimator = [each.connected(disturbance=part.signal("disturbance")) for each in estimator]
+                estimator = [made.connected(disturbance=part.signal("disturbance")) for made in estimator]
 
     parts = [*estimator, *lead, tracking_error, tolerant(law, "controller_health"), *additions, *inverse, *density]
 

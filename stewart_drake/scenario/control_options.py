@@ -1,4 +1,4 @@
-"""The controller's side: its options, and what it believes of the machine."""
+"""The controller's side: its options, and its model of the machine."""
 
 from __future__ import annotations
 
@@ -42,34 +42,34 @@ from stewart_drake.scenario.keys import with_keys
 
 
 class ModelOptions(Section, key="model"):
-    """What the controller's side believes of the machine. It knows nothing else of it."""
+    """The controller's model of the machine. The controller's side has no other knowledge of it."""
 
     robot: AnyRobot | None = None
-    """The robot that it computes with; null for the simulated one. Keys that are not given are those of `robot`."""
+    """The robot of the model; null for the simulated one. Keys that are not given are those of `robot`."""
     gravity: Annotated[NotNegative, Field(le=LARGEST_SIZE)] | None = None
     """[m/s^2] gravity, along -z of the base frame B; null for the simulated one."""
     friction: FrictionCompensation | None = None
-    """Friction of the motors, to compensate it; null for none."""
+    """Friction of the motors, which is compensated; null for none."""
     reading: Literal["angles", "pose"] | None = None
-    """What a reading is: the six angles of the cranks, or pose and pose rate of the platform; null for what `sensors`
-    read."""
+    """Contents of a reading: the six angles of the cranks, or pose and pose rate of the platform; null for those of
+    `sensors`."""
     noise: Annotated[NotNegative, Field(le=1.0)] | None = None
-    """[rad] standard deviation of a crank's angle as it is read, rounding included; null for that of `sensors`."""
+    """[rad] standard deviation of the reading of a crank's angle, with rounding; null for that of `sensors`."""
     delay: Annotated[Natural, Field(le=100)] | None = None
     """[ticks] delay from a command to the motors; null for `command_delay`. An observer gives the controller state and
     reference at the time when its command acts."""
     reading_age: Annotated[NotNegative, Field(le=1.0)] | None = None
     """[s] age of a reading when the controller gets it; null for `sensors.delay`. An observer predicts over it, in
-    whole ticks; defaults of gains, tuners and what learns count it as latency."""
+    whole ticks; default gains, tuners and adaptation count it as latency."""
     motors: Annotated[MotorOptions, MOTORS] | None = None
-    """The motors that it commands; null for the simulated ones without their faults."""
+    """The motors; null for the simulated ones without their faults."""
     home: Vector6 | None = None
-    """[rad] angles of the cranks at which a real machine reads zero; null for zeros. `drive --dry` measures them of a
-    robot that stands in its home pose."""
+    """[rad] angles of the cranks at which a real machine reads zero; null for zeros. `drive --dry` measures them with
+    the robot in its home pose."""
 
 
-class Belief(NamedTuple):
-    """`ModelOptions` with nothing left open."""
+class Model(NamedTuple):
+    """The controller's model of the machine: `ModelOptions` with all values."""
 
     robot: RobotParameters
     gravity: float  # [m/s^2].
@@ -88,7 +88,7 @@ class Belief(NamedTuple):
 
 
 class ControlOptions(Section):
-    """What runs on the computer beside a robot: all that a `Controller` is made of; `load_controller` reads a file.
+    """Options of everything that runs on a robot's computer, for a `Controller`; `load_controller` reads a file.
 
     Raises:
         ConfigurationError: Names the key, the value and what is allowed.
@@ -101,7 +101,7 @@ class ControlOptions(Section):
     name: Annotated[Text, Field(max_length=100, pattern=NAME), with_message(f"at most 100 {NAME_WORDS}")] = "scenario"
     """Name of the run, for the output folder and titles; letters, digits and, after the first, space and . + - too."""
     model: ModelOptions = Field(default_factory=ModelOptions)
-    """What the controller's side believes of the machine; by default it is right."""
+    """The controller's model of the machine; by default the simulated machine."""
     reference: AnyReference = Field(default_factory=SineReference)
     """The motion to follow."""
     initial_offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -113,7 +113,7 @@ class ControlOptions(Section):
     estimator: Annotated[EstimatorOptions, ESTIMATORS] = Field(default_factory=DifferenceOptions)
     """Estimates the platform's pose and rate for the controller from the sensor readings."""
     adaptation: Annotated[AdaptationOptions, ADAPTATIONS] | None = None
-    """What learns while the robot runs; null for nothing."""
+    """What is learnt while the robot runs; null for nothing."""
     safety: SafetyOptions | None = None
     """The safety layer between controller and motors; null for none."""
 
@@ -132,7 +132,7 @@ class ControlOptions(Section):
             return super().from_dict(data, key)
 
     def replace(self, changes: Mapping[str, Any] | None = None, **keys: Any) -> Self:
-        """The keys that were given with some of them changed, checked again: what was but a default is one anew.
+        """The keys that were given with some of them changed, checked again; defaults are computed again.
 
         Another kind, `{"plant": "closed_form"}` or `{"plant.kind": "closed_form"}`, keeps the keys that it has too; a
         line of the log names the others, and of plant and motors they are an error. A section replaces a section.
@@ -140,7 +140,7 @@ class ControlOptions(Section):
         Args:
             changes: Dotted key -> plain value, such as {"tuner.omega_q": 10.0}. Components of lists, such as
                 `robot.legs[2].rod_length`, come last. New code is named within `trusting_code`.
-            keys: Likewise, those at the top.
+            keys: The same for keys at the top.
 
         Raises:
             ConfigurationError: As for the class.
@@ -148,7 +148,7 @@ class ControlOptions(Section):
         return with_keys(type(self), self.given(), {**(changes or {}), **keys})
 
     def in_full(self) -> dict[str, Any]:
-        """`to_dict`, with what each leg of the robots has where `legs` leaves it to the symmetric robot."""
+        """`to_dict`, with the legs of the robots in full where `legs` leaves them to the symmetric robot."""
         full = self.to_dict()
         for section, robot in ((full, getattr(self, "robot", None)), (full["model"], self.model.robot)):
             if robot is not None:
@@ -160,19 +160,19 @@ class ControlOptions(Section):
         return to_yaml(self.to_dict())
 
     @property
-    def nominal(self) -> Belief:
-        """What is believed where `model` says nothing; with no simulated machine, the paper's robot."""
-        return Belief(PAPER, STANDARD_GRAVITY, None, "angles", 0.0, 0, TorqueMotors())
+    def default_model(self) -> Model:
+        """The model where `model` is empty; without a simulated machine, of the paper's robot."""
+        return Model(PAPER, STANDARD_GRAVITY, None, "angles", 0.0, 0, TorqueMotors())
 
     @property
-    def belief(self) -> Belief:
-        """What the controller's side believes of the machine."""
-        said = {name: getattr(self.model, name) for name in Belief._fields}
-        belief = self.nominal._replace(**{name: value for name, value in said.items() if value is not None})
-        if belief.friction is None and self.adaptation is not None:
-            # What learns begins with none, and needs its place.
-            belief = belief._replace(friction=FrictionCompensation())
-        return belief
+    def controller_model(self) -> Model:
+        """`model` with all values."""
+        given = {name: getattr(self.model, name) for name in Model._fields}
+        model = self.default_model._replace(**{name: value for name, value in given.items() if value is not None})
+        if model.friction is None and self.adaptation is not None:
+            # Adaptation starts without friction, and needs the part that compensates it.
+            model = model._replace(friction=FrictionCompensation())
+        return model
 
     @property
     def lqi(self) -> LqiOptions:
@@ -188,15 +188,15 @@ class ControlOptions(Section):
 
     @property
     def preview(self) -> float:
-        """[s] by which the controller sees the reference ahead of time.
+        """[s] by which the controller's reference is ahead of time.
 
-        With an observer, and the state too: the delay of commands. Without feedback, or for a controller that looks
-        ahead, that of the motors as well, and half of the period for which a command holds. Else none.
+        With an observer, which predicts the state as well: the delay of commands. Without feedback, or for a controller
+        that looks ahead: also that of the motors, and half of the period for which a command is held. Else 0.
         """
         period = on_grid(self.controller.period)
         if self.controller.looks_ahead or not self.controller.feedback:
-            return self.belief.delay * period + self.belief.motors.dead_time + 0.5 * period
-        return self.belief.delay * period if self.estimator.disturbance_density else 0.0
+            return self.controller_model.delay * period + self.controller_model.motors.dead_time + 0.5 * period
+        return self.controller_model.delay * period if self.estimator.disturbance_density else 0.0
 
     def start(self) -> tuple[np.ndarray, np.ndarray]:
         """Pose (6,) and pose rate (6,) at t = 0."""
@@ -206,7 +206,7 @@ class ControlOptions(Section):
     def rules(self) -> None:
         """Periods fit each other, the tuner its estimator, and a move the robot."""
         place_users(self)
-        if self.belief.robot.tool is not None:
+        if self.controller_model.robot.tool is not None:
             for place, motion in placed(self.reference, RecordedReference, "reference"):
                 if motion.of_platform:
                     allowed = "a motion of the tool; a move tells of the head: robot.tool null plays it"

@@ -27,7 +27,7 @@ class Controller:
         controller.step(angles, time, torque)  # every controller.period seconds
 
     The same parts run here as in a Diagram, without sensors, delay, link and motors: those are the machine's, and
-    `model` says what is believed of them. The Riccati equation of an LQI is solved by the compiled split solution.
+    `model` describes them. The Riccati equation of an LQI is solved by the compiled split solution.
 
     Args:
         options: Model of the machine, reference, controller, tuner, estimator and safety layer; a Scenario has them.
@@ -52,7 +52,7 @@ class Controller:
         outside = {side.reading: self.reading, **{source.signal: source.size for source in side.sources}}
         self._running = LoopRunner(parts, outside, period=side.context.period, step=self.period)
         evaluated: dict[str, Callable[[float], np.ndarray]] = {
-            each.signal: InBlocks(each.evaluate, self.period).at_time for each in side.sources
+            source.signal: InBlocks(source.evaluate, self.period).at_time for source in side.sources
         }
         evaluated |= {name: evaluate for name, evaluate in (sources or {}).items() if name in evaluated}
         self._sources = [(self._running.signal(name), evaluate) for name, evaluate in evaluated.items()]
@@ -63,7 +63,7 @@ class Controller:
             self.logged["safety"] = "safety"
         self._reading = self._running.signal(side.reading)
         self._command, self.unit = self._running.signal("safe_torque" if self._safe else side.command), side.unit
-        # What is no torque has its limit in the motor.
+        # Commands that are no torques have their limit in the motor.
         self._limits = side.context.robot.effort_limits if side.command == side.torque else np.inf
         self._stillness = None if self._safe else Stillness(side.context.robot, self.period)
         self._last, self._ticks = -np.inf, 0
@@ -76,10 +76,10 @@ class Controller:
                 without feedback, `feedforward`, takes anything.
             time: [s] of the motion, later than at the step before; fastest at multiples of the period.
             out: (6,) out, commands for the motors in `unit`: float64; torques are within the robot's effort limits.
-            age: [s] of the readings beyond what the scenario says; the safety layer's `deadline` refers to it.
+            age: [s] of the readings beyond that of the scenario; the safety layer's `deadline` refers to it.
 
         Raises:
-            ConfigurationError: An argument that is not as said; nothing has changed then.
+            ConfigurationError: An argument of another shape, type or range; nothing has changed then.
             RunFailure: A part has failed, or the safety layer gives the robot up; `reason` and `leg` say why.
         """
         try:
@@ -133,14 +133,14 @@ class Controller:
 
     @property
     def first_trip(self) -> Mapping[str, Any] | None:
-        """What the safety layer has noticed first, as a log has it; None for nothing, or without a layer."""
+        """The first trip of the safety layer, as in a log; None for none, or without a layer."""
         return first_trip(self._running.state("safety"), self._tick, self._monitors) if self._safe else None
 
     @property
     def standstill(self) -> tuple[str, int | None] | None:
-        """What stands while the reference moves: `not_moving` or `reading_stuck`, and the leg or None for all six.
+        """Cranks at rest while the reference moves: `not_moving` or `reading_stuck`, and the leg or None for all six.
 
-        None where all is well, and where a safety layer watches: that trips. Readings that are no numbers are left out.
+        None where all is well, and with a safety layer, which trips instead. Readings that are not finite are left out.
         """
         return None if self._stillness is None else self._stillness.latest
 
@@ -169,13 +169,13 @@ def controller_parts(options: ControlOptions, side: ControlSide, age: np.ndarray
     if side.safety is not None:
         parts.append(side.safety.connected(command=side.torque, age=age))
     elif not options.controller.feedback:
-        # What learns reads, and does not end what needs no reading.
+        # Adaptive laws need readings; without them the rest still runs.
         parts = [*_without([*side.parts], {side.reading}), *side.at_end]
     return parts
 
 
 def _without(parts: list[Part], signals: set[str]) -> list[Part]:
-    """The parts that need none of some signals, nor what depends on these."""
+    """The parts that depend on none of some signals."""
     kept = []
     for part in parts:
         if signals.intersection(source for port in part.inputs if isinstance(source := part.source(port), str)):

@@ -54,7 +54,7 @@ class ReferenceLimits(Section, key="limits"):
     between the rod and the velocity of the crank's end."""
     joint_swing: Annotated[Positive, Field(le=math.pi)] | None = JOINT_SWING
     """[rad] largest swing of a rod from home, at the platform (ball joint) and at its crank (universal joint). The
-    paper's own reference (37), (38) needs 63.1 deg at the universal joint of leg 2."""
+    reference of the paper (37), (38) needs 63.1 deg at the universal joint of leg 2."""
     clearance: Annotated[Positive | None, LENGTH] = 0.005
     """[m] smallest distance between the surfaces of cranks and rods of different legs; the default scales with the
     robot."""
@@ -98,7 +98,7 @@ RULES = {
     "crank_speed": ("rad/s", "|crank speed| <= {:g} rad/s"),
     "torque": ("N m", "|motor torque| <= {:g} N m"),
 }
-"""Unit of the margin and wording of each limit, in the order in which simultaneous violations are named."""
+"""Units of the margins and wording of the limits, in the order in which simultaneous violations are named."""
 
 _LINKS = [(kind, leg) for kind in ("crank", "rod") for leg in range(6)]
 _PAIRS = [pair for pair in itertools.combinations(_LINKS, 2) if pair[0][1] != pair[1][1]]
@@ -109,7 +109,7 @@ PLACES: dict[str, list[tuple[int | None, str]]] = {
     "joint_swing": [(leg, f"{joint} joint of leg {leg}") for joint in ("ball", "universal") for leg in range(6)],
     "clearance": [(one[1], "{} {} to {} {}".format(*one, *other)) for one, other in _PAIRS],
 }
-"""Leg and name of each column of a limit's margins."""
+"""Leg and name of the columns of a limit's margins."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class LimitMargin:
 
 
 def limit_bounds(robot: RobotParameters, limits: ReferenceLimits) -> dict[str, float]:
-    """Value of each limit that is on, in the unit of its margin; `reach` always is."""
+    """Values of the limits that are on, in the unit of the margin; `reach` always is."""
     given = {name: getattr(limits, name, None) for name in RULES}
     given["reach"] = 1.0 if limits.reach is None else limits.reach
     given["torque"] = None if limits.torque_fraction is None else limits.torque_fraction * robot.effort_limit
@@ -156,7 +156,7 @@ def limit_margins(
     pose_acceleration: np.ndarray,
     gravity: float,
 ) -> dict[str, np.ndarray]:
-    """Margins (n, k) of a motion (n, 6) to each limit that is on, by `PLACES`; NaN where a rod cannot span."""
+    """Margins (n, k) of a motion (n, 6) to the limits that are on, by `PLACES`; NaN where a rod cannot span."""
     m = measure(robot, pose, pose_rate, pose_acceleration, gravity)
     reached = m["assembly_sign"][~np.isnan(m["assembly_sign"])]
     margins: dict[str, Callable[[float], np.ndarray]] = {

@@ -1,4 +1,4 @@
-"""One run as typed YAML: read, checked to the last key, frozen."""
+"""A scenario: all options of one run as typed YAML, checked and frozen."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LARGEST_SIZE
 from stewart_drake.robot.robot_files import AnyRobot
 from stewart_drake.robot.robot_scale import PAPER
-from stewart_drake.scenario.control_options import Belief, ControlOptions
+from stewart_drake.scenario.control_options import ControlOptions, Model
 from stewart_drake.scenario.keys import with_keys
 from stewart_drake.scenario.limits import ReferenceLimits, SuccessCriteria
 
 MAX_STEPS = 10**9
-"""Of the plant in a run: beyond it sample times, which are stretched slightly, would lose their step."""
+"""Of the plant in a run: with more the steps could not be told apart in the sample times."""
 
 
 class Scenario(ControlOptions):
@@ -88,7 +88,7 @@ class Scenario(ControlOptions):
         return scenario
 
     def __repr__(self) -> str:
-        """What it is about, in ten lines; `to_yaml` has every key."""
+        """A summary in ten lines; `to_yaml` has every key."""
 
         def kinds(parts: Iterable[Any]) -> str:
             return ", ".join(str(part.kind) for part in parts) or "none"
@@ -109,15 +109,15 @@ class Scenario(ControlOptions):
         )
 
     @property
-    def nominal(self) -> Belief:
-        """The simulated machine as it is meant to be: without faults, friction and payload."""
+    def default_model(self) -> Model:
+        """The simulated machine without faults, friction and payload."""
         readings, motors = self.sensors, self.motors.nominal
         read = readings.reading, readings.reading_noise
-        return Belief(self.robot, self.gravity, None, *read, self.command_delay, motors, readings.delay)
+        return Model(self.robot, self.gravity, None, *read, self.command_delay, motors, readings.delay)
 
     def control(self) -> ControlOptions:
-        """Its controller's side alone, with `model` written out: what is carried to a machine."""
-        full = self.to_dict() | {"model": to_plain(self.belief._asdict())}
+        """The controller's side alone, with `model` in full, for use on a machine."""
+        full = self.to_dict() | {"model": to_plain(self.controller_model._asdict())}
         plain = {name: full[name] for name in ControlOptions.__pydantic_fields__}
         return ControlOptions.from_dict(plain, trust_code=all(part.code.trusted for part in user_parts(self)))
 
@@ -128,19 +128,21 @@ class Scenario(ControlOptions):
 
     @property
     def loop_delay(self) -> int:
-        """[ticks] that commands and readings are under way, to the nearest tick."""
+        """[ticks] total delay of commands and readings, to the nearest tick."""
         return self.command_delay + round(self.sensors.delay / self.controller.period)
 
     def rules(self) -> None:
         """Periods fit each other, readings the sensors, and the tuner its estimator."""
         super().rules()
-        if self.belief.reading != self.sensors.reading:
-            raise ConfigurationError("model.reading", self.belief.reading, f"{self.sensors.reading}, as sensors read")
-        believed, motors = self.belief.motors, self.motors
-        # What a user's motors take is their own affair.
-        if motors.code is None and believed.takes != motors.takes:
+        if self.controller_model.reading != self.sensors.reading:
+            raise ConfigurationError(
+                "model.reading", self.controller_model.reading, f"{self.sensors.reading}, as sensors read"
+            )
+        model_motors, motors = self.controller_model.motors, self.motors
+        # The command of a user's motors is not checked.
+        if motors.code is None and model_motors.takes != motors.takes:
             allowed = f"motors that take {motors.takes} [{motors.unit}], as `motors` do"
-            raise ConfigurationError("model.motors.kind", believed.kind, allowed)
+            raise ConfigurationError("model.motors.kind", model_motors.kind, allowed)
         steps_per("controller.period", self.controller.period, self.plant.time_step)
         steps_per("estimator.period", self.reading_period, self.plant.time_step)
         largest = MAX_STEPS * self.plant.time_step
@@ -182,7 +184,7 @@ def load_controller(path: str | Path, overrides: Iterable[str] = (), trust_code:
 
 
 def load_driven(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
-    """A scenario, or a controller's file as one, whose robot and motors are then those that it believes in."""
+    """A scenario; or a controller's file as one, with the robot and motors of its model."""
     try:
         file = find_file("scenario", path)
     except ConfigurationError as error:
@@ -193,8 +195,8 @@ def load_driven(path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     if not set(read_mapping("scenario", file, 100)) <= set(ControlOptions.__pydantic_fields__):
         return load_scenario(file, overrides)
     control = load_controller(file, overrides)
-    robot, motors = to_plain(control.belief.robot), to_plain(control.belief.motors)
-    sensors = "encoders" if control.belief.reading == "angles" else "ideal"
+    robot, motors = to_plain(control.controller_model.robot), to_plain(control.controller_model.motors)
+    sensors = "encoders" if control.controller_model.reading == "angles" else "ideal"
     trusted = all(part.code.trusted for part in user_parts(control))
     data = {**control.to_dict(), "robot": robot, "motors": motors, "sensors": sensors}
     return Scenario.from_dict(data, trust_code=trusted)
@@ -209,15 +211,15 @@ def _load(kind: type[_Options], what: str, path: str | Path, overrides: Iterable
 
 
 def scenario_schema() -> dict[str, Any]:
-    """JSON schema of a scenario file, for editors: each section once, under `$defs`."""
+    """JSON schema of a scenario file, for editors: every section once, under `$defs`."""
     sections: dict[str, Any] = {}
 
     def moved(node: Any) -> Any:
         if isinstance(node, list):
-            return [moved(each) for each in node]
+            return [moved(part) for part in node]
         if not isinstance(node, dict):
             return node
-        node = {key: moved(each) for key, each in node.items()}
+        node = {key: moved(part) for key, part in node.items()}
         if "properties" not in node or "title" not in node:
             return node
         name = node["title"]
@@ -227,6 +229,6 @@ def scenario_schema() -> dict[str, Any]:
 
     schema = TypeAdapter(Scenario).json_schema()
     for name, section in schema.pop("$defs", {}).items():
-        sections[name] = {key: moved(each) for key, each in section.items()}
-    schema = {key: moved(each) for key, each in schema.items()}
+        sections[name] = {key: moved(part) for key, part in section.items()}
+    schema = {key: moved(part) for key, part in schema.items()}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "$defs": sections}

@@ -1,4 +1,4 @@
-"""The parts of a scenario, called in order, on a plant that is moved step by step: without a Diagram."""
+"""The parts of a scenario on a plant, called in order, step by step, without a Diagram."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ class SteppedLoop:
 
     Args:
         scenario: The scenario.
-        plant: What the motors move; None makes that of the scenario.
-        sources: Signals of time that are not those of the scenario: name -> value (n,) at a step of the plant.
+        plant: The plant; None makes that of the scenario.
+        sources: Signals of time in place of those of the scenario: name -> value (n,) at a step of the plant.
         parts: Those that run, `machine_side` for one; None for `loop_of` the scenario.
 
     Attributes:
         parts: The parts that run.
-        runner: The parts at work.
-        plant: What the motors move.
+        runner: The parts with their states.
+        plant: The plant.
         now: Steps of the plant that are done.
-        measured: (24,) what the plant measures, see `plant_options.POSE`.
+        measured: (24,) output of the plant, see `plant_options.POSE`.
         torque: (6,) [N m] of the motors.
     """
 
@@ -46,9 +46,9 @@ class SteppedLoop:
         time_step, self.now = scenario.plant.time_step, 0
         self._step = on_grid(time_step)
         self.plant = scenario.plant.make(scenario.robot, scenario.gravity) if plant is None else plant
-        evaluated = {each.signal: InBlocks(each.evaluate, time_step).at for each in self.parts.sources}
+        evaluated = {source.signal: InBlocks(source.evaluate, time_step).at for source in self.parts.sources}
         evaluated |= sources or {}
-        outside = {"measured": 24, "wrench": 6, **{each.signal: each.size for each in self.parts.sources}}
+        outside = {"measured": 24, "wrench": 6, **{source.signal: source.size for source in self.parts.sources}}
         outside |= {name: len(first) for name, first in self.parts.inputs.items()}
         inside = {"plant_pose": slice(POSE.start, RATE.stop), "crank_state": slice(ANGLES.start, CRANK_RATES.stop)}
         self.runner = LoopRunner(self.parts.parts, outside, inside, scenario.controller.period, time_step)
@@ -92,7 +92,7 @@ class SteppedLoop:
         self.now += 1
 
     def take_over(self, other: SteppedLoop) -> None:
-        """Goes on where another loop is: plant, and each part that both have."""
+        """Continues from the state of another loop: plant, and the parts that both have."""
         self.now = other.now
         self.runner.take_over(other.runner)
         if self.plant is not other.plant:

@@ -255,7 +255,7 @@ def make_sweep(data: Mapping[str, Any], folder: Path | None = None) -> Experimen
     """From plain values of a `SweepFile`; paths relative to `folder`."""
     file, base = SweepFile.read("sweep", data, folder)
     if file.mismatch:
-        belief, model = base.belief, base.model
+        belief, model = base.controller_model, base.model
         kept = {"robot": base.to_dict()["robot"], "gravity": belief.gravity, "noise": belief.noise}
         kept |= {"delay": belief.delay, "reading_age": belief.reading_age, "motors": belief.motors.to_dict()}
         base = base.replace({f"model.{key}": value for key, value in kept.items() if getattr(model, key) is None})

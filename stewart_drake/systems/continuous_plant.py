@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -25,12 +26,12 @@ from stewart_drake.plant.plant_options import MechanismOptions
 from stewart_drake.robot import RobotParameters
 
 
-def _of(function: Any, given: np.ndarray) -> np.ndarray:
-    """A function of numbers, of AutoDiffXd too: by central differences."""
-    if given.dtype != object:
-        return np.asarray(function(given))
-    value, by = derivatives(function, ExtractValue(given).ravel())
-    return np.asarray(InitializeAutoDiff(value, by @ ExtractGradient(given))).ravel()
+def _evaluate(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> np.ndarray:
+    """A function of numbers or of AutoDiffXd, the latter by central differences."""
+    if at.dtype != object:
+        return np.asarray(function(at))
+    value, slope = derivatives(function, ExtractValue(at).ravel())
+    return np.asarray(InitializeAutoDiff(value, slope @ ExtractGradient(at))).ravel()
 
 
 def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
@@ -39,16 +40,16 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
     class Impl(base, WithParameters):
         """The closed form of the robot, a continuous plant of 12 states; `ClosedFormPlant(robot, options, gravity)`.
 
-        `options` are `ClosedFormOptions`, of which payload and viscous friction count: friction that sticks is no
-        continuous state. gravity is in [m/s^2]. It begins at home at rest; pitch stays off +-pi/2. Derivatives with
-        respect to AutoDiffXd are central differences.
+        Of `ClosedFormOptions` it uses payload and viscous friction; stiction is refused. gravity is in [m/s^2]. It
+        begins at home at rest; pitch stays away from +-pi/2. Derivatives with respect to AutoDiffXd are central
+        differences.
 
-        Its numeric parameters are `robot`, a record, with the payload, of which masses and inertias may be changed,
+        Its numeric parameters are `robot`, a record with the payload, of which masses and inertias may be changed,
         `friction` and `gravity` (1,).
 
         Ports:
-            torque: in (6,) [N m], of the motors; cut to their effort limit.
-            wrench: in (6,) [N m, N], moment about P and force, in B; none where left alone.
+            torque: in (6,) [N m], of the motors; limited to their effort limit.
+            wrench: in (6,) [N m, N], moment about P and force, in B; zero if not connected.
             measurement: out (12,), pose [rad, m], pose rate [rad/s, m/s] (Euler rates); the state.
             crank_state: out (12,), angles of the cranks [rad] from the horizontal, within half a turn of home, then
                 their rates [rad/s].
@@ -69,7 +70,7 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
             friction = options.friction_of(robot)
             if friction["break_away"].any():
                 raise ConfigurationError("friction", "motors that stick", "viscous friction alone, in continuous time")
-            self._given, self._home = (robot, options, gravity), home_frames(robot)
+            self._arguments, self._home = (robot, options, gravity), home_frames(robot)
             numbers = {"robot": options.loaded(robot), "friction": friction, "gravity": np.array([gravity])}
             self._numbers = self.declare_parameters(numbers, BasicVector_[T])
             self.torque = self.DeclareVectorInputPort("torque", 6)
@@ -80,47 +81,48 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
             self.crank_state = self.DeclareVectorOutputPort(
                 "crank_state", 12, self._cranks, prerequisites_of_calc=needs
             )
-            # As `StewartRobot` names them.
+            # As in `StewartRobot`.
             self.torque_input_port, self.state_output_port = self.torque, self.measurement
 
         def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            Impl._construct(self, *other._given, converter=converter)
+            Impl._construct(self, *other._arguments, converter=converter)
 
         def set_state(self, context: Any, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
-            """Puts the robot at a pose (6,) [rad, m], moving; `context` of the Diagram."""
-            at, rate = np.asarray(pose), np.zeros(6) if pose_rate is None else np.asarray(pose_rate)
-            check_value("pose", at, Vector6)
+            """Sets pose (6,) [rad, m] and pose rate (6,); `context` of the Diagram."""
+            pose, rate = np.asarray(pose), np.zeros(6) if pose_rate is None else np.asarray(pose_rate)
+            check_value("pose", pose, Vector6)
             check_value("pose_rate", rate, Vector6)
-            leg_geometry(self._given[0], at)  # Which refuses what is out of reach.
+            leg_geometry(self._arguments[0], pose)  # Raises out of reach.
             with drake_guard("setting the plant's state"):
                 mine = self.GetMyMutableContextFromRoot(context)
                 self.ValidateContext(mine)
-            mine.SetContinuousState(np.append(at, rate))
+            mine.SetContinuousState(np.append(pose, rate))
 
         def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:  # noqa: N802 - Drake's name
             state = context.get_continuous_state_vector().CopyToVector()
             wrench = self.wrench.Eval(context) if self.wrench.HasValue(context) else np.zeros(6)
             self.read_parameters(context)
-            rate = _of(self._rate, np.concatenate([state, self.torque.Eval(context), wrench]))
+            rate = _evaluate(self._rate, np.concatenate([state, self.torque.Eval(context), wrench]))
             derivatives.get_mutable_vector().SetFromVector(rate)
 
-        def _rate(self, given: np.ndarray) -> np.ndarray:
-            if not np.isfinite(given[:6]).all():
-                raise NotFiniteError("the plant's pose", given[:6].copy())
+        def _rate(self, values: np.ndarray) -> np.ndarray:
+            motion, torque, wrench = values[:12], values[12:18], values[18:]
+            if not np.isfinite(motion[:6]).all():
+                raise NotFiniteError("the plant's pose", motion[:6].copy())
             robot, friction, (gravity,) = self._numbers["robot"], self._numbers["friction"], self._numbers["gravity"]
-            torque, result = within_limit(given[12:18], robot["effort_limit"][0]), np.empty(12)
-            leg, margin = motion_rate(robot, friction, gravity, Legs.empty(), given[:12], torque, given[18:], result)
+            torque, result = within_limit(torque, robot["effort_limit"][0]), np.empty(12)
+            leg, margin = motion_rate(robot, friction, gravity, Legs.empty(), motion, torque, wrench, result)
             if leg >= 0:
-                raise SingularPoseError("serial", given[:6].copy(), margin, 0.0, leg)
+                raise SingularPoseError("serial", motion[:6].copy(), margin, 0.0, leg)
             if not np.isfinite(result).all():
                 raise NotFiniteError("the plant's acceleration", result[6:])
             return result
 
         def _cranks(self, context: Any, output: Any) -> None:
             def cranks(state: np.ndarray) -> np.ndarray:
-                return np.concatenate(crank_motion(self._given[0], self._home, state[:6], state[6:]))
+                return np.concatenate(crank_motion(self._arguments[0], self._home, state[:6], state[6:]))
 
-            output.SetFromVector(_of(cranks, context.get_continuous_state_vector().CopyToVector()))
+            output.SetFromVector(_evaluate(cranks, context.get_continuous_state_vector().CopyToVector()))
 
     return Impl
 

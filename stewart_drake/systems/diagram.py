@@ -1,4 +1,4 @@
-"""The closed loop of Fig. 6 as one Diagram; the only place that connects its systems (`plant` wires its own parts)."""
+"""The closed loop of Fig. 6 as one Diagram: connects plant, sources and parts by the names of their signals."""
 
 from __future__ import annotations
 
@@ -36,34 +36,34 @@ _System = TypeVar("_System")
 
 
 class ClosedLoop(Diagram):
-    """Plant, sensors, reference, controller and what else a scenario has; wired and logged.
+    """The plant and all parts of a scenario, connected and logged.
 
     Output ports: plant_state (nq + nv,) [rad, rad/s], reading (6,) angles of the cranks [rad], or of a sensor of the
     pose pose_reading (12,), measurement (12,) pose [rad, m] and pose rate [rad/s, m/s], reference (18,) pose, pose rate
-    and pose acceleration [rad/s^2, m/s^2], torque (6,) [N m] asked for, torque_applied (6,) [N m] of the motors, error
+    and pose acceleration [rad/s^2, m/s^2], torque (6,) [N m] commanded, torque_applied (6,) [N m] of the motors, error
     (6,) [rad, m], integral (6,) [rad s, m s]; for controllers that take weights weights (2,) or (4,) [-], density (12,)
     [-]; with an observer innovation (6,) [rad]; with disturbances disturbance (6,) [N m, N] about P; with a safety
     layer safety (3,): level, monitor, leg or -1; with motors that take an angle or a current commanded_angle [rad] or
     commanded_current [A] (6,).
 
     Its default state is the scenario's start: `Simulator(build_diagram(scenario))` begins as `run(scenario)` does; the
-    rates come at `Initialize`. `plant.broken_rod` breaks by itself.
+    rates are set at `Initialize`. `plant.broken_rod` breaks at its time.
 
     Args:
         scenario: The run to build.
-        sparse: Log for `rows`, a row for each step of the plant: what changes at ticks alone is logged at ticks, what
-            follows from the time or the plant's state not at all. Else each signal is logged at `scenario.log_period`.
-        inputs: Input ports; left alone, a signal is the scenario's. `wrench` (6,) [N m, N] about P is added to its
-            disturbances, `reference` (18,) and `weights` (2,) or (4,) take the place of its own.
+        sparse: Log for `rows`, a row per step of the plant: signals that change only at ticks are logged at ticks,
+            functions of time or of the plant's state not at all. Else all signals are logged at `scenario.log_period`.
+        inputs: Input ports; if not connected, a signal is the scenario's. `wrench` (6,) [N m, N] about P is added to
+            its disturbances, `reference` (18,) and `weights` (2,) or (4,) replace its signals.
         outputs: Fields of the parts' records that are exported and logged too: `controller.gain`.
         visuals: Register the geometry with a SceneGraph, `plant.scene_graph`, for visualisers and cameras.
         meshcat: A Meshcat that shows the robot and the forces of contact.
-        before_finalize: Adds what else there shall be to the plant, as of `add_plant`.
+        before_finalize: Adds further bodies to the plant, see `add_plant`.
 
     Attributes:
-        scenario, loop: What it was built from, and its parts.
+        scenario, loop: The scenario, and its parts.
         plant: The MultibodyPlant with its indices and `assemble`.
-        systems, sinks: The System of each part, and the VectorLogSink of each signal, by name.
+        systems, sinks: Systems of the parts and VectorLogSinks of the signals, by name.
     """
 
     @checked
@@ -108,7 +108,7 @@ class ClosedLoop(Diagram):
         self.set_name(scenario.name)
 
     def rows(self, context: Context) -> tuple[int, dict[str, np.ndarray]]:
-        """Of a sparse log: how many rows are complete, all that was logged (n, k), and what the plant measures."""
+        """Of a sparse log: number of complete rows, all signals (n, k), and the plant's measurement `measured`."""
         with drake_guard("reading the logs"):
             logs = {name: sink.FindLog(context) for name, sink in self.sinks.items()}
         # A failure can stop a publish halfway.
@@ -132,36 +132,36 @@ class ClosedLoop(Diagram):
 
 
 def _one_of(key: str, name: str, known: Iterable[str], inside: str = "") -> str:
-    """The name, where it is known; of those only that have `inside` in them."""
-    if name not in (allowed := sorted(each for each in known if inside in each)):
+    """The name, if it is known and contains `inside`."""
+    if name not in (allowed := sorted(other for other in known if inside in other)):
         raise ConfigurationError(key, name, join_or(allowed))
     return name
 
 
 class LoopSystems:
-    """All systems of a scenario but the plant, in a Diagram under construction, wired to a robot; made by `add_loop`.
+    """All systems of a scenario except the plant, in a Diagram under construction, connected to a robot; by `add_loop`.
 
-    The scenario's `plant` and `gravity` give way to those of the robot's plant, which is finalised. The scenario's
+    `plant` and `gravity` are those of the robot's plant, which is finalised, instead of the scenario's. The scenario's
     start becomes the robot's default state: a Simulator on the Diagram begins as `run(scenario)` does.
 
     Args:
-        builder: Receives the systems, and the friction of the robot's motors where it has none yet.
-        scenario: Of the same robot.
+        builder: Receives the systems, and those of the motors' stiction if they are missing.
+        scenario: With the same robot.
         robot: Made by `add_robot` or `add_plant`.
-        inputs: As of `ClosedLoop`.
+        inputs: See `ClosedLoop`.
         outputs: Likewise.
-        name: Begins the names of the systems, so that several loops have room in a Diagram.
+        name: Prefix of the systems' names, for several loops in a Diagram.
 
     Attributes:
-        scenario, loop: What it was made from, with the plant's options, and its parts.
-        systems: The System of each part, by name.
-        inputs, outputs: Ports by name; the outputs are those of `ClosedLoop` but for `plant_state`.
-        logged, tables, strides: For the log of a run: what each output is; signals that follow from the time; of those
-            that change at ticks alone, how many steps of the plant a tick takes.
+        scenario, loop: The scenario, with the plant's options, and its parts.
+        systems: Systems of the parts, by name.
+        inputs, outputs: Ports by name; the outputs are those of `ClosedLoop` except `plant_state`.
+        logged, tables, strides: For the log of a run: signals of the outputs; functions of time; number of the plant's
+            steps in a tick, for signals that change only at ticks.
 
     Raises:
-        ConfigurationError: Another robot than the scenario's, or one that has a loop; a plant whose steps do not make
-            up the loop's periods; a name that is taken.
+        ConfigurationError: Another robot than the scenario's, or one that has a loop; periods that are no multiples of
+            the plant's step; a name that is taken.
     """
 
     @checked
@@ -176,8 +176,8 @@ class LoopSystems:
         name: str = "",
     ) -> None:
         if scenario.robot != robot.robot:
-            here, there = scenario.robot.to_dict(), robot.robot.to_dict()
-            others = ", ".join(key for key in here if here[key] != there[key])
+            expected, given = scenario.robot.to_dict(), robot.robot.to_dict()
+            others = ", ".join(key for key in expected if expected[key] != given[key])
             raise ConfigurationError("scenario.robot", f"another {others}", "the robot of the plant")
         gravity = float(np.linalg.norm(robot.plant.gravity_field().gravity_vector()))
         if scenario.plant != robot.options or scenario.gravity != gravity:
@@ -228,14 +228,14 @@ class LoopSystems:
         self._signals[source.signal] = system.get_output_port()
 
     def _add_inputs(self, names: Sequence[str]) -> dict[str, str]:
-        """Gives what is logged by them."""
-        own: dict[str, Any] = {"wrench": np.zeros(6), "reference": "reference"}
-        own |= {port: part.source(port) for part in self.loop.parts for port in part.inputs if port == "weights"}
+        """Adds input ports; returns the logged signals that they replace."""
+        sources: dict[str, str | np.ndarray] = {"wrench": np.zeros(6), "reference": "reference"}
+        sources |= {port: part.source(port) for part in self.loop.parts for port in part.inputs if port == "weights"}
         if "reference_ahead" in self._signals:
-            del own["reference"]  # Nobody knows what comes.
+            del sources["reference"]  # The future of an external one is not known.
         for name in dict.fromkeys(names):
-            _one_of("inputs", name, own)
-            scenario = self._port(f"scenario_{name}", name if name in self._signals else own[name])
+            _one_of("inputs", name, sources)
+            scenario = self._port(f"scenario_{name}", name if name in self._signals else sources[name])
             system = self._add(f"{name}_input", ScenarioInput(name, scenario.size(), added=name == "wrench"))
             self._builder.Connect(scenario, system.scenario)
             self.inputs[name] = system.outside
@@ -245,9 +245,9 @@ class LoopSystems:
         return {log: signal for log, signal in logged.items() if signal in names}
 
     def _add_part(self, part: Part) -> None:
-        """Adds the system of a part; its signals are split in C++, a port of its own would be a call of Python."""
+        """Adds the system of a part, whose signals are split in C++, without calls of Python."""
         if part.kernel is limit_torque:
-            # Drake has it in C++: at every step of the plant a call of Python costs a tenth of the step.
+            # By Drake in C++: a call of Python at every step of the plant costs a tenth of the step.
             limit = part.parameters["limit"]
             saturation = self.systems[part.name] = self._add(part.name, Saturation(-limit, limit))
             self._signals[part.signal("torque")] = saturation.get_output_port()
@@ -264,7 +264,7 @@ class LoopSystems:
         self._builder.Connect(system.result, split.get_input_port())
         for place, name in enumerate(fields):
             self._signals[f"{part.name}.{name}"] = split.get_output_port(place)
-            if not part.end_of_tick:  # Which shows what it found only after the log of its tick.
+            if not part.end_of_tick:  # Those update their outputs after the log of the tick.
                 step = self.scenario.plant.time_step
                 self.strides[f"{part.name}.{name}"] = steps_per(f"{part.name}.period", system.period, step)
         for output in part.outputs:
@@ -275,11 +275,11 @@ class LoopSystems:
         """Connects the inputs of a part."""
         for port in (*part.inputs, *part.replaced):
             source = "weights" if port == "weights" in self._signals else part.source(port)
-            # A `PartSystem` has the time and its arrays without a port.
+            # A `PartSystem` needs no port for the time and for arrays.
             if part.system is not None or (port != "time" and isinstance(source, str)):
                 signal, system = self._port(f"{part.name}_{port}", source), self.systems[part.name]
-                only = isinstance(system, Saturation)
-                self._builder.Connect(signal, system.get_input_port() if only else system.GetInputPort(port))
+                has_one = isinstance(system, Saturation)
+                self._builder.Connect(signal, system.get_input_port() if has_one else system.GetInputPort(port))
 
     def _port(self, name: str, source: str | np.ndarray) -> OutputPort:
         if isinstance(source, str):
@@ -288,10 +288,10 @@ class LoopSystems:
 
 
 def add_loop(builder: DiagramBuilder, scenario: Scenario, robot: StewartRobot, **options: Any) -> LoopSystems:
-    """Adds the loop of `scenario` around a robot in a plant of yours; for options as name see `LoopSystems`."""
+    """Adds the loop of `scenario` around a robot in a plant of yours; for options such as `name` see `LoopSystems`."""
     return LoopSystems(builder, scenario, robot, **options)
 
 
 def build_diagram(scenario: Scenario, **options: Any) -> ClosedLoop:
-    """The closed loop of `scenario` as a Drake Diagram; for options as inputs and meshcat see `ClosedLoop`."""
+    """The closed loop of `scenario` as a Drake Diagram; for options such as `meshcat` see `ClosedLoop`."""
     return ClosedLoop(scenario, **options)

@@ -1,7 +1,7 @@
-"""The LeafSystems of the loop, to wire by hand: parts in one shell, `PartSystem`, and what has no tick.
+"""LeafSystems of the loop: `PartSystem`, which runs a part at its ticks, and systems without ticks.
 
-The systems of the paper's controller take their own options. The others take a scenario, and are the part that its loop
-has: `PlatformObserver(scenario)`, `ScenarioSystem(scenario, "encoders")`. A part of your own is `PartSystem(part,
+The systems of the paper's controller take options. The others take a scenario, and are a part of its loop:
+`PlatformObserver(scenario)`, `ScenarioSystem(scenario, "encoders")`. For a part of yours use `PartSystem(part,
 period)`.
 """
 
@@ -34,28 +34,28 @@ from stewart_drake.scenario.scenario import Scenario
 
 _SAME_TICK = 1e-6
 """Share of a period by which an instant may come before a tick and still belong to it."""
-_SHOWN = 1e-9
-"""Share of a period, and of the time, after which what a part of the end of a tick gave is shown."""
+_OUTPUT_DELAY = 1e-9
+"""Share of a period, and of the time, after which a part of the end of a tick updates its output."""
 
 
 class PartSystem(LeafSystem, WithParameters):
-    """Runs a part at its ticks, at multiples of its own period or else of `period` [s]; its state is in the Context.
+    """Runs a part at multiples of its period, or of `period` [s]; its state is in the Context.
 
-    What a tick gives is held to the next one: a plant gets one torque a tick, without delay, whether it steps in a
-    discrete or in an unrestricted update or is continuous. Ticks come just before the multiples of the period (2.7e-11
-    of the time), and so before a plant's step at the same decimal time.
+    Outputs hold between ticks: a plant gets one torque per tick, without delay, in discrete, unrestricted or continuous
+    updates. Ticks are just before the multiples of the period (2.7e-11 of the time), and so before a plant's step at
+    the same decimal time.
 
-    A tick has two stages, since parts read one another at the same instant. An unrestricted update opens it: until it
-    is closed, outputs are computed from the inputs as soon as somebody asks. The discrete update, which Drake does
-    after it, closes it and stores them. A Simulator that begins opens a tick that this Context has not had, also where
-    its time was set back. A part of the end of a tick shows its result from the next one on.
+    A tick has two stages, because parts read other parts' outputs at the same instant. An unrestricted update opens the
+    tick: until it is closed, outputs are computed from the inputs on demand. The discrete update, which Drake does
+    afterwards, closes it and stores them. A Simulator opens at its start a tick that the Context has not had, also if
+    its time was set back. A part of the end of a tick updates its outputs after the tick.
 
-    Ports: those of the part by name and as attributes, and `result`, its state, of which `field` gives a port for what
-    else is in it and `state` the record; an output with the name of an input is the attribute `NAME_out`. An input
-    whose part has an array for it may be left alone.
+    Ports: those of the part by name and as attributes, and `result`, its state. `field` adds a port for a field of the
+    state, and `state` returns the record; an output with the name of an input is the attribute `NAME_out`. An input
+    for which the part has an array need not be connected.
 
-    The part's parameters, and the arrays at inputs that are left alone, are numeric parameters in the Context. What
-    `parameter` is given there counts from the next tick on.
+    The part's parameters, and the arrays at inputs that are not connected, are numeric parameters in the Context; see
+    `parameter`. Changes take effect at the next tick.
     """
 
     if TYPE_CHECKING:
@@ -68,15 +68,15 @@ class PartSystem(LeafSystem, WithParameters):
         self._early, self._nominal = just_before(self.period), on_grid(self.period)
         self._kind = part.initial.dtype
         initial = part.initial.view(np.float64)
-        # The state, and: number of its tick, whether it is open. What a part of the end shows stands apart.
-        shown = self.DeclareDiscreteState(initial) if part.end_of_tick else None
-        self._own = int(self.DeclareDiscreteState(np.append(initial, [-1.0, 1.0])))
+        # The state, number of its tick, whether it is open; separately the output of a part of the end of a tick.
+        output = self.DeclareDiscreteState(initial) if part.end_of_tick else None
+        self._tick = int(self.DeclareDiscreteState(np.append(initial, [-1.0, 1.0])))
         self._time = np.zeros(1)
         numbers = {name: value for name, value in part.parameters.items() if name not in part.replaced}
         sources = ((name, part.source(name)) for name in part.inputs)
         numbers |= {name: np.array(source, float) for name, source in sources if not isinstance(source, str)}
         record = self.declare_parameters(numbers)
-        # What stands at a port: its value, and for one that may be left alone what stands there then.
+        # Ports, and the values of those that are not connected.
         self._ports: list[tuple[InputPort | None, np.ndarray | None]] = []
         for name, size in part.inputs.items():
             if name == "time":
@@ -93,8 +93,8 @@ class PartSystem(LeafSystem, WithParameters):
         ]
         self._bound = BoundPart(part, [None] * len(part.inputs), part.initial.copy())
         self.result: OutputPort
-        if shown is not None:
-            self.result = self.DeclareStateOutputPort("result", shown)
+        if output is not None:
+            self.result = self.DeclareStateOutputPort("result", output)
         else:
             needs = {self.xd_ticket(), self.all_input_ports_ticket(), self.all_parameters_ticket()}
             needs |= {self.time_ticket()} if "time" in part.inputs else set()
@@ -108,17 +108,19 @@ class PartSystem(LeafSystem, WithParameters):
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._early, 0.0, self._open)
         self.DeclarePeriodicDiscreteUpdateEvent(self._early, 0.0, self._close)
         if part.end_of_tick:
-            self.DeclarePeriodicDiscreteUpdateEvent(self._nominal * (1.0 + _SHOWN), _SHOWN * self.period, self._show)
+            self.DeclarePeriodicDiscreteUpdateEvent(
+                self._nominal * (1.0 + _OUTPUT_DELAY), _OUTPUT_DELAY * self.period, self._update_output
+            )
 
     @checked
     def state(self, context: Context) -> np.ndarray:
-        """The part's record (1,), of the tick that is done; `context` of the Diagram."""
+        """The part's record (1,) after the last tick; `context` of the Diagram."""
         with drake_guard(f"the state of {self.part.name}"):
-            own = self.GetMyContextFromRoot(context).get_discrete_state(self._own).value()
-        return np.array(own[:-2]).view(self._kind)
+            values = self.GetMyContextFromRoot(context).get_discrete_state(self._tick).value()
+        return np.array(values[:-2]).view(self._kind)
 
     def field(self, name: str) -> OutputPort:
-        """Output port of a field of the part's record, `gain` of an LQI say; until the Diagram is built."""
+        """Output port of a field of the part's record, such as `gain` of an LQI; before the Diagram is built."""
         names = self._kind.names or ()
         if name not in names:
             raise ConfigurationError("field", name, join_or(names))
@@ -136,17 +138,17 @@ class PartSystem(LeafSystem, WithParameters):
         return self.DeclareVectorOutputPort(name, size, calc, prerequisites_of_calc=needs)
 
     def _number(self, context: Context) -> int:
-        """Of the tick to which an instant belongs."""
+        """Number of the tick to which an instant belongs."""
         return int(context.get_time() / self._early + _SAME_TICK)
 
     def _answer(self, context: Context, output: Any) -> None:
-        held, result = context.get_discrete_state(self._own).value(), output.get_mutable_value()
+        held, result = context.get_discrete_state(self._tick).value(), output.get_mutable_value()
         result[:] = held[:-2]
         if held[-1]:
-            self._ticked(context, result)
+            self._compute(context, result)
 
-    def _ticked(self, context: Context, values: np.ndarray) -> None:
-        """Ticks on values (n,) that hold the state of the tick before."""
+    def _compute(self, context: Context, values: np.ndarray) -> None:
+        """A tick, in place, on the state (n,) of the tick before."""
         self._time[0] = self._number(context) * self._nominal
         self.read_parameters(context)
         inputs = [
@@ -156,52 +158,52 @@ class PartSystem(LeafSystem, WithParameters):
         try:
             for place, port, kind in self._signals:
                 self._parameters[place] = port.Eval(context).view(kind)
-            # A record in the same place; `view` takes three times as long.
+            # A record of the same memory; `view` takes three times as long.
             self._bound.bind(self._parameters, inputs, np.ndarray(1, self._kind, values))
             self._bound()
         except RunFailure as error:
             error.time = float(self._time[0])
             raise
 
-    # Drake begins an update with a copy of the state, so that each has what it reads and what it writes in one place.
+    # Drake copies the state before an update, so that it is read and written in one place.
 
     def _begin(self, context: Context, state: State) -> None:
-        own = state.get_mutable_discrete_state().get_mutable_value(self._own)
-        if self._number(context) != own[-2]:
-            own[-1] = 1.0
+        tick = state.get_mutable_discrete_state().get_mutable_value(self._tick)
+        if self._number(context) != tick[-2]:
+            tick[-1] = 1.0
 
     def _open(self, context: Context, state: State) -> None:
-        own = state.get_mutable_discrete_state().get_mutable_value(self._own)
-        if own[-1]:
-            # The first tick at 0: a plant that steps in an unrestricted update does so now.
-            self._store(context, own)
+        tick = state.get_mutable_discrete_state().get_mutable_value(self._tick)
+        if tick[-1]:
+            # The first tick, at 0: a plant that steps in an unrestricted update does so now.
+            self._store(context, tick)
         else:
-            own[-1] = 1.0
+            tick[-1] = 1.0
 
-    def _show(self, _: Context, values: DiscreteValues) -> None:
-        values.set_value(0, values.value(self._own)[:-2])
+    def _update_output(self, _: Context, values: DiscreteValues) -> None:
+        values.set_value(0, values.value(self._tick)[:-2])
 
     def _close_first(self, context: Context, values: DiscreteValues) -> None:
         if context.get_time() != self._number(context) * self._early:  # Else a tick is due at once.
             self._close(context, values)
 
     def _close(self, context: Context, values: DiscreteValues) -> None:
-        own = values.get_mutable_value(self._own)
-        if own[-1]:
-            self._store(context, own)
+        tick = values.get_mutable_value(self._tick)
+        if tick[-1]:
+            self._store(context, tick)
 
-    def _store(self, context: Context, own: np.ndarray) -> None:
+    def _store(self, context: Context, tick: np.ndarray) -> None:
         if self.part.end_of_tick:
-            self._ticked(context, own[:-2])
+            self._compute(context, tick[:-2])
         else:
-            own[:-2] = self.result.Eval(context)
-        own[-2:] = self._number(context), 0.0
+            tick[:-2] = self.result.Eval(context)
+        tick[-2:] = self._number(context), 0.0
 
 
 class LqiController(PartSystem):
-    """Linear quadratic integral regulator, (19)-(34): a new gain at every tick, from that tick's pose and weights.
+    """Linear quadratic integral regulator, (19)-(34): a new gain at every tick, from its pose and weights.
 
-    Answers within the tick; `weights` is the size of its port, 2, or 4 for block weights; gravity in [m/s^2].
+    Its output has no delay; `weights` is the size of its port, 2, or 4 for block weights; gravity in [m/s^2].
 
     Ports:
         measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s] (Euler rates).
@@ -221,7 +223,7 @@ class LqiController(PartSystem):
 
 
 class TrackingError(PartSystem):
-    """Measured pose minus that of the reference; answers within the tick. The period is in [s].
+    """Measured pose minus that of the reference, without delay. The period is in [s].
 
     Ports:
         measurement: in (12,), pose [rad, m], pose rate [rad/s, m/s] (Euler rates).
@@ -235,9 +237,9 @@ class TrackingError(PartSystem):
 
 
 class DensityFeatures(PartSystem):
-    """Density of each input over a sliding window, (35), (36); answers within the tick.
+    """Densities of the inputs over a sliding window, (35), (36), without delay.
 
-    `window` is m of (35) [ticks]; means run over m + 1 samples, which live in the Context. The period is in [s].
+    `window` is m of (35) [ticks]; means are over m + 1 samples, which are in the Context. The period is in [s].
 
     Ports:
         error: in (6,) [rad, m], pose minus reference at the tick.
@@ -253,7 +255,7 @@ class DensityFeatures(PartSystem):
 class AnnTuner(PartSystem):
     """omega_Q and omega_R from the densities, Fig. 5; `initial` until the first inference.
 
-    The weights found at a tick act from the next one on: the densities of a tick need its torque, which needs them.
+    The weights of a tick act at the next one: the densities of a tick need its torque, which needs weights.
 
     Ports:
         density: in (12,) [-], of the errors, then of the torques.
@@ -267,16 +269,16 @@ class AnnTuner(PartSystem):
 
 
 class ScenarioSystem(PartSystem):
-    """A part of the loop of a scenario, by its name; its ports are the part's.
+    """A part of a scenario's loop, by its name, with the ports of the part.
 
     controller: measurement, reference -> torque; by kind also weights, integral, and reference_now of a pid.
-    encoders: crank_state -> reading, angles of the cranks as they are read.
+    encoders: crank_state -> reading, angles of the cranks.
     estimator: reading -> measurement, by forward kinematics and differences.
-    friction_compensation: reference -> friction_torque, against the motors' friction.
-    command: control_torque, disturbance_torque, friction_torque -> torque, that is asked for.
-    net_torque: torque, friction_torque -> net_torque, what an observer takes for the last command.
-    command_delay: value -> value, a command and that of so many ticks ago.
-    link: torque -> torque, age; loses, delays and spoils commands at every step of the plant.
+    friction_compensation: reference -> friction_torque.
+    command: control_torque, disturbance_torque, friction_torque -> torque, the command.
+    net_torque: torque, friction_torque -> net_torque, the input of an observer.
+    command_delay: value -> value, of so many ticks ago.
+    link: torque -> torque, age; loses, delays and corrupts commands at every step of the plant.
     motors: command, crank_state -> torque of imperfect motors, at every step of the plant.
 
     Raises:
@@ -303,7 +305,7 @@ class PlatformObserver(ScenarioSystem):
 
 
 class SafetyLayer(ScenarioSystem):
-    """`safety`, which passes on what may go to the motors; a port for which there is no signal may be left alone.
+    """`safety`, which limits or replaces the command; ports without a signal need not be connected.
 
     safety: command, measurement, reference, age, sensor_health, controller_health, angles, pose_reading -> torque,
     safety.
@@ -318,8 +320,8 @@ _NAMED |= {"safety": SafetyLayer}
 
 
 def system_of(part: Part, period: float) -> PartSystem:
-    """A `PartSystem`, of the class that bears the part's name where there is one."""
-    kind: Any = _NAMED.get(part.name, PartSystem)
+    """A `PartSystem`, of the class for the part's name if there is one."""
+    kind: type[PartSystem] = _NAMED.get(part.name, PartSystem)
     if part.initial.dtype == LqiState.layout:
         kind = LqiController
     elif part.kernel is network_tick:
@@ -330,12 +332,12 @@ def system_of(part: Part, period: float) -> PartSystem:
 
 
 class ScenarioInput(LeafSystem):
-    """A signal of a scenario that comes from outside; left alone it is the scenario's.
+    """An external signal in the place of one of a scenario.
 
     Ports:
-        outside: in (size,), may be left alone.
+        outside: in (size,); if it is not connected, the scenario's signal is the output.
         scenario: in (size,).
-        signal: out (size,); both together where they are `added`.
+        signal: out (size,); the sum of both if `added`.
     """
 
     def __init__(self, name: str, size: int, added: bool = False) -> None:
@@ -346,17 +348,17 @@ class ScenarioInput(LeafSystem):
         def calc(context: Context, output: Any) -> None:
             if not self.outside.HasValue(context):
                 return output.SetFromVector(self.scenario.Eval(context))
-            given = self.outside.Eval(context)
-            if not np.isfinite(given).all():
-                raise NotFiniteError(name, given.copy())
-            return output.SetFromVector(given + self.scenario.Eval(context) if added else given)
+            value = self.outside.Eval(context)
+            if not np.isfinite(value).all():
+                raise NotFiniteError(name, value.copy())
+            return output.SetFromVector(value + self.scenario.Eval(context) if added else value)
 
         needs = {self.all_input_ports_ticket()}
         self.signal = self.DeclareVectorOutputPort("signal", size, calc, prerequisites_of_calc=needs)
 
 
 class TimeSource(LeafSystem):
-    """A signal that is a function of time alone, of its name and size.
+    """A signal that is a function of time.
 
     Ports:
         NAME: out (size,), `evaluate(time)` at a time [s].
@@ -411,7 +413,7 @@ class TaskSpaceSensor(LeafSystem):
 
 
 class PlatformWrench(LeafSystem):
-    """A push from outside, at the centre of the platform.
+    """An external wrench at the centre of the platform.
 
     Ports:
         wrench: in (6,) [N m, N], moment about P and force, in B.

@@ -114,7 +114,9 @@ class TrackEnvironment(_Environment):
         plain = {"estimator": {}, "sensors": {}, "controller": {"kind": self._torque}, "plant.kind": "closed_form"}
         self._scenario = loaded.replace({**plain, "duration": duration, "safety": None, "model.friction": None})
         times = times_of(np.arange(round(duration / loaded.plant.time_step) + 2), loaded.plant.time_step)
-        self._needed = inverse_dynamics(loaded.belief.robot, *loaded.reference.evaluate(times), loaded.belief.gravity)
+        self._needed = inverse_dynamics(
+            loaded.controller_model.robot, *loaded.reference.evaluate(times), loaded.controller_model.gravity
+        )
         self.interval, self._offset = interval, np.repeat([np.radians(offset[0]), 1e-3 * offset[1]], 3)
         self._limit = authority * loaded.robot.effort_limits
         self._action = np.zeros(6)

@@ -81,7 +81,7 @@ def test_what_a_run_learns_is_printed_kept_and_where_the_next_one_begins(call):
     assert "learnt: Coulomb friction" in first[1]
     second = call("run", "exact_breathing", *learning, "--keep-model", "kept.yaml", "--out", "second")
     assert second[0] == 0
-    believed = load_log("second").scenario.belief
+    believed = load_log("second").scenario.controller_model
     np.testing.assert_allclose(believed.friction.coulomb, 0.05, atol=0.005)
     assert believed.robot.platform_mass == load_log("first")["learnt"][-1, 0]
     kept = Path("kept.yaml").read_bytes()
@@ -117,10 +117,10 @@ def test_what_a_run_learns_is_printed_kept_and_where_the_next_one_begins(call):
 def test_what_was_kept_changes_what_a_simulated_machine_is_believed_to_be_and_not_what_it_is(tmp_path):
     first = load_driven("reachy_servos", ["adaptation=regression"])
     kept = tmp_path / "kept.yaml"
-    heavier = first.belief.robot.given() | first.belief.robot.heavier(1.5)
+    heavier = first.controller_model.robot.given() | first.controller_model.robot.heavier(1.5)
     kept.write_text(json.dumps(to_plain({"model": first.model.given() | {"robot": heavier}})))
     again = run_commands.begin_with(load_driven, "reachy_servos", ["adaptation=regression"], kept)
-    assert again.belief.robot.platform_mass == 1.5 * first.belief.robot.platform_mass
+    assert again.controller_model.robot.platform_mass == 1.5 * first.controller_model.robot.platform_mass
     assert (again.robot, again.motors) == (first.robot, first.motors)
 
 

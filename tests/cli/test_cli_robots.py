@@ -137,7 +137,7 @@ def test_servos_from_a_designed_motion_to_a_model(call, tmp_path):
     assert names == {"model.yaml", "identification.png", "parameters.csv", "report.md"}
     model = (tmp_path / "report" / "model.yaml").read_text()
     (tmp_path / "run.yaml").write_text(f"robot: mine.yaml\nmotors: {{kind: position}}\n{model}")
-    belief = load_scenario(tmp_path / "run.yaml").belief
+    belief = load_scenario(tmp_path / "run.yaml").controller_model
     assert belief.motors.stiffness == pytest.approx(1.0, rel=0.03)
     assert belief.motors.delay == pytest.approx(0.0, abs=1e-3)
     np.testing.assert_allclose(belief.friction.coulomb, 0.0128, rtol=0.1)

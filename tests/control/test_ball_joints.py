@@ -104,7 +104,7 @@ def test_the_axes_of_reachy_daemon_are_those_of_the_makers_file():
     pytest.importorskip("mujoco")
     if importlib.util.find_spec("reachy_mini") is None:
         pytest.skip("pip install --no-deps reachy_mini")
-    robot, joints = ROBOTS[1], load_controller("reachy_daemon").belief.friction.joints
+    robot, joints = ROBOTS[1], load_controller("reachy_daemon").controller_model.friction.joints
     options = {"kind": "mujoco", "model_file": "reachy_mini", "motor_class": "perfect_actuator"}
     plant = load_scenario("reachy_nod").replace({"plant": options}).plant.make(robot, 9.81)
     plant.initial(robot.home_pose, np.zeros(6))

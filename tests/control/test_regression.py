@@ -268,16 +268,16 @@ def test_a_robot_with_servos_learns_its_constants_and_follows():
 
 def test_what_was_kept_is_what_the_next_run_believes():
     first = run(servos(), check=False)
-    belief, row = first.scenario.belief, first["learnt"][-1]
+    belief, row = first.scenario.controller_model, first["learnt"][-1]
     model = model_of(last_learnt(first), belief)
     second = run(servos(duration=3.0, model=model), check=False)
     assert late_error(second) < 0.1 * late_error(run(servos(duration=3.0, adaptation=None), check=False))
     value = Learnt.of(row)
-    np.testing.assert_allclose(second.scenario.belief.motors.gains, value.drive, rtol=1e-12)
-    np.testing.assert_allclose(second.scenario.belief.friction.coulomb, value.coulomb, rtol=1e-12)
-    assert second.scenario.belief.robot.platform_mass == pytest.approx(value.mass)
-    assert second.scenario.belief.friction.width == belief.friction.width
-    assert second.scenario.belief.motors.dead_time == pytest.approx(0.03 + value.delay)
+    np.testing.assert_allclose(second.scenario.controller_model.motors.gains, value.drive, rtol=1e-12)
+    np.testing.assert_allclose(second.scenario.controller_model.friction.coulomb, value.coulomb, rtol=1e-12)
+    assert second.scenario.controller_model.robot.platform_mass == pytest.approx(value.mass)
+    assert second.scenario.controller_model.friction.width == belief.friction.width
+    assert second.scenario.controller_model.motors.dead_time == pytest.approx(0.03 + value.delay)
 
 
 @pytest.mark.long
@@ -459,7 +459,7 @@ def test_a_load_beside_the_middle_moves_the_centre_of_mass_and_is_no_friction(mo
     alone = run(scenario.replace({"adaptation": "regression", "plant.payload_mass": 0.0}), check=False)
     late = log.time > 3.0
     assert np.linalg.norm(log.error[late, 3:]) < 1.6 * np.linalg.norm(alone.error[late, 3:])
-    kept = scenario.replace({"model": model_of(last_learnt(log), log.scenario.belief)}).belief.robot
+    kept = scenario.replace({"model": model_of(last_learnt(log), log.scenario.controller_model)}).controller_model.robot
     np.testing.assert_allclose(kept.platform_center_of_mass, place[:3], rtol=1e-12)
 
 
@@ -484,7 +484,7 @@ def test_a_centre_of_mass_is_kept_in_p_where_the_robot_has_a_tool():
     tool = {"position": [0.0, 0.02, 0.05], "orientation": [0.3, 0.0, 0.1]}
     scenario = load_scenario("exact_breathing").replace({**RUBS, "duration": 0.01, "robot.tool": tool})
     log = run(scenario, check=False)
-    kept = scenario.replace({"model": model_of(last_learnt(log), log.scenario.belief)}).belief.robot
+    kept = scenario.replace({"model": model_of(last_learnt(log), log.scenario.controller_model)}).controller_model.robot
     np.testing.assert_allclose(kept.platform_center_of_mass, scenario.robot.platform_center_of_mass, atol=1e-12)
 
 
@@ -500,8 +500,10 @@ def test_one_torque_constant_for_all_keeps_what_each_motor_rubs_in_currents():
     scenario = load_scenario("reachy_nod").replace({"motors": "current", "safety": None, "adaptation": "regression"})
     drive, coulomb = np.array([0.8, 0.9, 1.0, 1.1, 1.2, 1.3]), np.full(6, 0.05)
     learnt = np.concatenate([[0.3, 0.0], drive, 0.1 * coulomb, coulomb])
-    belief = scenario.belief
-    kept = scenario.replace({"model": model_of({"learnt": learnt, "learnt_half_width": 0.1 * learnt}, belief)}).belief
+    belief = scenario.controller_model
+    kept = scenario.replace(
+        {"model": model_of({"learnt": learnt, "learnt_half_width": 0.1 * learnt}, belief)}
+    ).controller_model
     assert kept.motors.torque_constant == pytest.approx(belief.motors.torque_constant * drive.mean())
     currents = coulomb / (belief.motors.torque_constant * drive)
     np.testing.assert_allclose(np.array(kept.friction.coulomb) / kept.motors.torque_constant, currents)
@@ -557,8 +559,8 @@ def test_what_was_learnt_of_ball_joints_is_kept():
     scenario = servos(**{"model.friction.joints": JOINTS.to_dict() | {"viscous": 0.0, "coulomb": 0.0}})
     joints = state["learnt_joints"][0].tolist()
     known = {name: state[name].view(float) for name in ("learnt", "learnt_half_width", "learnt_joints")}
-    model = model_of(known, scenario.belief)
-    kept = scenario.replace({"model": model}).belief.friction.joints
+    model = model_of(known, scenario.controller_model)
+    kept = scenario.replace({"model": model}).controller_model.friction.joints
     assert (kept.viscous, kept.coulomb) == tuple(joints[:2])
     assert kept.platform == JOINTS.platform
     lines = dict(rows_of(known))

@@ -85,7 +85,7 @@ def test_what_was_identified_goes_into_a_scenario(trial, found, tmp_path):
     (tmp_path / "run.yaml").write_text(f"robot: mine.yaml\nmotors: {json.dumps(found.motors)}")
     assert load_scenario(tmp_path / "run.yaml").robot.platform_mass == pytest.approx(found.values[MASS])
     (tmp_path / "run.yaml").write_text(f"robot: mine.yaml\nmotors: {{kind: position}}\n{found.model_file()}")
-    belief = load_scenario(tmp_path / "run.yaml").belief
+    belief = load_scenario(tmp_path / "run.yaml").controller_model
     np.testing.assert_allclose(belief.motors.gains, found.values[STIFFNESS])
     total = belief.motors.damping + np.array(belief.friction.viscous)
     np.testing.assert_allclose(total, found.values[DAMPING])

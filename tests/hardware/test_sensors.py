@@ -104,7 +104,7 @@ def test_an_old_reading_is_that_of_so_many_milliseconds_ago(kind, sensors):
 
 def test_an_observer_that_knows_how_old_its_readings_are_holds_the_robot():
     scenario = load_scenario("exact_breathing").replace({"plant.kind": "closed_form", "sensors.delay": 0.02})
-    assert scenario.belief.reading_age == scenario.control().belief.reading_age == 0.02
+    assert scenario.controller_model.reading_age == scenario.control().controller_model.reading_age == 0.02
     known = scenario.replace({"duration": 2.0})
     log = run(known)
     assert log.status == "completed"

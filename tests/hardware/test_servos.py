@@ -125,14 +125,14 @@ def test_a_preset_sets_servo_and_friction_and_what_is_given_stands():
     scenario = Scenario.from_dict(text)
     assert (scenario.motors.stiffness, scenario.motors.damping, scenario.motors.torque_limit) == (2.54, 0.01, 0.8)
     assert (scenario.plant.motor_friction, scenario.plant.motor_damping) == (0.058, 0.095)
-    assert scenario.belief.friction.coulomb == (0.058,) * 6
+    assert scenario.controller_model.friction.coulomb == (0.058,) * 6
     assert scenario.replace({"motors.preset": "xl330_m288"}).motors.stiffness == 1.0
     rough = scenario.replace({"plant.friction": {"coulomb": 0.2}, "model.friction": None})
     assert rough.plant.friction_options.coulomb == (0.2,) * 6
-    assert rough.belief.friction is None
+    assert rough.controller_model.friction is None
     assert Scenario.from_dict(scenario.to_dict()) == scenario
     believed = scenario.replace({"model.motors": {"kind": "position", "preset": "xl330_m288"}})
-    assert believed.belief.friction.coulomb == (0.0128,) * 6
+    assert believed.controller_model.friction.coulomb == (0.0128,) * 6
     assert believed.plant.motor_friction == 0.058
 
 

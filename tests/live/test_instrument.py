@@ -7,13 +7,13 @@ from scipy.spatial.transform import Rotation
 from stewart_drake.live.instrument import (
     FORCE,
     MOMENT,
-    Probe,
     Spring,
-    as_instrument,
-    knob_value,
-    knobs_of,
+    TestMotion,
+    changes_of_slider,
+    for_live_page,
     largest,
-    turned,
+    slider_value,
+    sliders_of,
     turning_spring,
 )
 from stewart_drake.live.loop import LiveLoop
@@ -33,7 +33,7 @@ def session(**changes):
 
 
 def do(live, **command):
-    live.tell(command)
+    live.put(command)
     live.obey()
     assert not live.message.startswith("not understood")
 
@@ -133,7 +133,7 @@ def test_the_robot_beside_has_errors_of_its_own():
     assert live.row()["beside"] is None
     do(live, do="ghost", controller="PID of each motor")
     do(live, do="push", wrench=[0, 0, 0, 5, 0, 0], duration=0.05)
-    live._each(lambda loop: loop.advance(50))
+    live._for_all(lambda loop: loop.advance(50))
     row = live.row()
     off = live.ghost.pose - live.ghost.wanted
     assert row["beside"]["position_m"] == pytest.approx(np.linalg.norm(off[3:]))
@@ -142,14 +142,14 @@ def test_the_robot_beside_has_errors_of_its_own():
 
 
 def test_sliders_stand_where_the_scenario_does_and_go_no_farther_than_their_ends():
-    scenario = as_instrument(load_scenario("exact_breathing").replace({**SWAY, "tuner": "block"}))
-    knobs = {knob.key: knob for knob in knobs_of(scenario, scenario)}
+    scenario = for_live_page(load_scenario("exact_breathing").replace({**SWAY, "tuner": "block"}))
+    knobs = {knob.key: knob for knob in sliders_of(scenario, scenario)}
     assert {"tuner.q_pose", "estimator.disturbance", "plant.motor_friction", "model.friction.coulomb"} <= set(knobs)
     for knob in knobs.values():
-        assert knob.low <= knob_value(scenario, knob) <= knob.high
+        assert knob.low <= slider_value(scenario, knob) <= knob.high
         for value in (knob.low - 1.0, knob.high + 1.0):
-            changed = scenario.replace(turned(scenario, knob, value))
-            assert knob_value(changed, knob) == pytest.approx(min(max(value, knob.low), knob.high))
+            changed = scenario.replace(changes_of_slider(scenario, knob, value))
+            assert slider_value(changed, knob) == pytest.approx(min(max(value, knob.low), knob.high))
 
 
 def test_a_delay_of_the_machine_alone_leaves_gains_and_belief_and_upsets_the_loop():
@@ -173,11 +173,11 @@ def test_a_step_and_a_sine_give_their_figures_of_both_robots():
     do(live, do="ghost", controller="PID of each motor")
     do(live, do="test", kind="step", axis="Z")
     assert live.row()["test"] == "step of Z: under way"
-    live._each(lambda loop: loop.advance(2100))
+    live._for_all(lambda loop: loop.advance(2100))
     assert live.row()["test"].startswith("step of Z, 1.1 mm: rise ")
     assert "; pale, PID of each motor: rise " in live.row()["test"]
     do(live, do="test", kind="sine", axis="roll", frequency=2.0)
-    live._each(lambda loop: loop.advance(2100))
+    live._for_all(lambda loop: loop.advance(2100))
     assert "sine of roll, 0.57 deg, 2 Hz: gain 1.0" in live.row()["test"].replace("gain 0.99", "gain 1.0")
     assert len(live.row()["links"]) == 7 * (14 + 13)
     do(live, do="ghost", controller=None)
@@ -185,7 +185,7 @@ def test_a_step_and_a_sine_give_their_figures_of_both_robots():
 
 
 def test_a_sine_of_a_loop_of_first_order_has_its_gain_and_phase():
-    probe, tau = Probe("sine", 5, 0.001, 2.0, 0.0), 0.05
+    probe, tau = TestMotion("sine", 5, 0.001, 2.0, 0.0), 0.05
     times, value = np.arange(0.0, 2.2, 1e-4), 0.0
     for time in times:
         value += 1e-4 / tau * (probe.added(time)[5] - value)
@@ -236,7 +236,7 @@ def test_what_was_done_is_saved_and_runs_again(tmp_path, monkeypatch):
 def test_a_loop_beside_begins_where_the_first_one_is():
     loop = LiveLoop(load_scenario("sway").replace(SWAY))
     loop.advance(500)
-    other = loop.beside({"controller": "pid"})
+    other = loop.copy_with({"controller": "pid"})
     assert np.array_equal(other.pose, loop.pose)
     other.advance(300)
     assert np.linalg.norm(other.pose - loop.pose) > 1e-3

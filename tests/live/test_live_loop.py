@@ -70,7 +70,7 @@ def test_the_hand_moves_the_platform_to_its_target() -> None:
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_every_controller_of_the_panel_takes_over_without_a_jump(name):
     session = LiveSession(load_scenario("exact_fig7").replace(STILL))
-    session.tell({"do": "controller", "name": name})
+    session.put({"do": "controller", "name": name})
     session.run(until=0.1)
     assert (session.message, session.loop.ended) == ("", "")
     assert np.abs(session.loop.pose - session.loop.wanted).max() < 1e-4
@@ -109,7 +109,7 @@ def test_every_controller_of_the_panel_takes_over_without_a_jump(name):
 def test_what_the_panel_does_not_say_changes_nothing(command):
     session = LiveSession(load_scenario("exact_fig7").replace(STILL))
     scenario = session.loop.scenario
-    session.tell(command)
+    session.put(command)
     session.run(until=0.05)
     assert session.message.startswith("not understood")
     assert session.loop.scenario is scenario
@@ -121,7 +121,7 @@ def test_a_slider_of_a_controller_that_is_gone_and_a_save_of_nothing_say_so(tmp_
     session, messages = LiveSession(load_scenario("exact_fig7").replace(STILL)), []
     stale = {"do": "knob", "key": "tuner.q_pose", "value": 1.0}
     for command in ({"do": "save"}, {"do": "controller", "name": "PID of each motor"}, stale):
-        session.tell(command)
+        session.put(command)
         session.obey()
         messages.append(session.message)
     assert messages[0] == "save: expected a loop that has run, got 'no row'"
@@ -178,12 +178,12 @@ def test_a_row_has_all_that_a_panel_can_set():
         {"do": "controller", "name": "computed torque"},
         {"do": "move", "on": False},
     ):
-        number = session.tell(command)
+        number = session.put(command)
     session.run(until=0.05)
     row = session.row()
     assert row["obeyed"] == number
     assert [row[name] for name in names] == [0.2, 2, 4, "computed torque", False]
-    session.tell({"do": "reset"})
+    session.put({"do": "reset"})
     session.run(until=0.05)
     assert [session.row()[name] for name in names] == [first[name] for name in names]
 

@@ -10,7 +10,7 @@ from contextlib import ExitStack
 import pytest
 
 from stewart_drake.live import server as live_server
-from stewart_drake.live.server import MOST_BYTES, MOST_PAGES, LiveServer
+from stewart_drake.live.server import MAX_COMMAND, MAX_PAGES, LiveServer
 from stewart_drake.live.session import COMMANDS_KEPT, ROWS_KEPT, LiveSession
 from stewart_drake.scenario.scenario import load_scenario
 
@@ -106,7 +106,7 @@ def test_who_comes_from_elsewhere_is_refused(server, start, headers):
     ("length", "body", "answer"),
     [
         ("1000000000000", b"", 413),
-        (str(MOST_BYTES + 1), b"", 413),
+        (str(MAX_COMMAND + 1), b"", 413),
         ("9" * 5000, b"", 413),
         ("-1", b"", 411),
         (None, b"", 411),
@@ -176,7 +176,7 @@ def test_pages_are_counted_the_loop_goes_on_and_who_leaves_makes_room(server, ru
 @pytest.mark.parametrize("patience", [0.5])
 def test_who_never_reads_is_given_up(server):
     with ExitStack() as ends:
-        for _ in range(MOST_PAGES):
+        for _ in range(MAX_PAGES):
             ends.enter_context(listen(server))
         wait_for_room(server)
 
@@ -195,9 +195,9 @@ def test_one_who_reads_slowly_misses_rows_and_nobody_keeps_them():
 def test_commands_that_nobody_obeys_are_refused_in_the_end():
     session = new_session()
     for number in range(COMMANDS_KEPT):
-        assert session.tell({"do": "pause", "on": False}) == number + 1
+        assert session.put({"do": "pause", "on": False}) == number + 1
     with pytest.raises(queue.Full):
-        session.tell({"do": "pause", "on": True})
+        session.put({"do": "pause", "on": True})
     session.run(0.1)
     assert session.row()["obeyed"] == COMMANDS_KEPT
-    assert session.tell({"do": "pause", "on": True}) == COMMANDS_KEPT + 1
+    assert session.put({"do": "pause", "on": True}) == COMMANDS_KEPT + 1

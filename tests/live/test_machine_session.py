@@ -58,7 +58,7 @@ def steered(**at):
     machine = Servos(asked)
     session = MachineSession(SCENARIO, machine, connected(SCENARIO, machine))
     for tick, command in at.items():
-        asked[int(tick[1:])] = command if callable(command) else lambda command=command: session.tell(command)
+        asked[int(tick[1:])] = command if callable(command) else lambda command=command: session.put(command)
     why = session.run()
     return session, machine, why
 
@@ -156,7 +156,7 @@ def test_a_hand_s_motion_goes_on_where_a_target_changes(change):
 )  # fmt: skip
 def test_what_a_page_should_not_say_to_a_machine_changes_nothing(machine_session, command):
     target = machine_session.row()["target"]
-    machine_session.tell(command)
+    machine_session.put(command)
     machine_session.obey()
     assert machine_session.message.startswith("not understood: ")
     assert machine_session.row()["target"] == target

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.live.start import _room
-from stewart_drake.live.steering import CRANK_SPEED, FARTHEST, HandReference, SmoothValue, nearest_allowed
+from stewart_drake.live.steering import CRANK_SPEED, REACH, HandReference, SmoothValue, nearest_allowed
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.references import SineReference
@@ -106,7 +106,7 @@ def test_a_hand_moves_no_crank_faster_than_it_may_and_arrives(axis: int, sign: f
     reference.share.target[0] = reference.share.state[0, 0] = 0.0
     rows, now = [], 0.0
     for end in (sign, -sign):
-        goal = reference.aim(scenario, HOME + end * FARTHEST * np.eye(6)[axis]).pose
+        goal = reference.aim(scenario, HOME + end * REACH * np.eye(6)[axis]).pose
         for _ in range(150):
             reference.govern(scenario, now)
             reference.advance(now := now + step)
@@ -123,4 +123,4 @@ def test_sliders_go_as_far_as_each_axis_alone_can() -> None:
         ends = [HOME + sign * room[axis] * np.eye(6)[axis] for sign in (1.0, -1.0)]
         beyond = [HOME + sign * (room[axis] + 2e-3) * np.eye(6)[axis] for sign in (1.0, -1.0)]
         assert max(map(_margin, ends)) >= 0.0
-        assert room[axis] == FARTHEST[axis] or not max(map(_margin, beyond)) >= 0.0
+        assert room[axis] == REACH[axis] or not max(map(_margin, beyond)) >= 0.0

@@ -4,10 +4,20 @@ import numpy as np
 import pytest
 
 from stewart_drake.base.errors import ConfigurationError, RunFailure
-from stewart_drake.base.jit import fields, new_record
+from stewart_drake.base.records import Record, Vec2
 from stewart_drake.loop.part import HEALTHY, BoundPart, LoopRunner, Part
 
-SUM = fields(total=2)
+
+class Sum(Record):
+    total: Vec2
+
+
+class SumWithHealth(Sum):
+    health: Vec2
+
+
+class Gain(Record):
+    size: float
 
 
 def add(gain, term, state):
@@ -15,8 +25,8 @@ def add(gain, term, state):
 
 
 def adder(name="adder", term="term", **changes):
-    gain = new_record(fields(size=()), size=2.0)
-    part = Part(name, add, {}, {"term": 2}, ("total",), np.zeros(1, SUM), connections={"term": term}, **changes)
+    gain = Gain.new(size=2.0)
+    part = Part(name, add, {}, {"term": 2}, ("total",), Sum.new(), connections={"term": term}, **changes)
     return part._replace(parameters={"gain": gain})
 
 
@@ -27,7 +37,7 @@ def runner(*parts, **options):
 
 
 def test_a_tick_by_hand_changes_the_state_in_place():
-    state = np.zeros(1, SUM)
+    state = Sum.new()
     for _ in range(2):
         adder().tick(np.array([1.0, 10.0]), state)
     np.testing.assert_array_equal(state["total"][0], [4.0, 40.0])
@@ -85,9 +95,8 @@ def failing(**changes):
     def error(result, arguments):
         return RunFailure(f"reading {arguments['reading'][0]:g}", leg=result[1])
 
-    fields_of = fields(total=2, health=2) if changes else SUM
-    outputs = ("total", "health") if changes else ("total",)
-    return Part("watch", fail, {}, {"reading": 2}, outputs, np.zeros(1, fields_of), error=error, **changes)
+    state, outputs = (SumWithHealth, ("total", "health")) if changes else (Sum, ("total",))
+    return Part("watch", fail, {}, {"reading": 2}, outputs, state.new(), error=error, **changes)
 
 
 def test_a_failed_tick_raises_the_named_error_with_the_time():
@@ -112,8 +121,8 @@ def test_a_copy_of_the_values_is_a_snapshot_and_another_loop_goes_on_from_what_b
     loop.run()
     kept = loop.values.copy()
     other.take_over(loop)
-    for each in (loop, other):
-        each.run()
+    for runner_ in (loop, other):
+        runner_.run()
     np.testing.assert_array_equal(loop.signal("total"), other.signal("total"))
     loop.values[:] = kept
     np.testing.assert_array_equal(loop.signal("total"), [2.0, 20.0])
@@ -125,7 +134,7 @@ def test_a_raised_failure_of_a_users_kernel_is_that_of_a_status():
     def stop(_, __):
         raise RunFailure("no more")
 
-    part = Part("own", stop, {}, {"reading": 2}, ("health",), np.zeros(1, fields(health=2)), fault_tolerant=True)
+    part = Part("own", stop, {}, {"reading": 2}, ("health",), SumWithHealth.new(), fault_tolerant=True)
     state = part.initial.copy()
     BoundPart(part, [np.zeros(2)], state)()
     assert state["health"][0, 0] != HEALTHY[0]

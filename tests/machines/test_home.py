@@ -15,7 +15,7 @@ from stewart_drake.scenario.scenario import load_driven
 HOME = [0.3, -0.2, 0.1, 0.05, -0.4, 0.6]
 PLAIN = load_driven("reachy_servos")
 SCENARIO = PLAIN.replace({"model.home": HOME})
-ROBOT = SCENARIO.belief.robot
+ROBOT = SCENARIO.controller_model.robot
 ANGLES = inverse_kinematics(ROBOT, ROBOT.home_pose)
 
 
@@ -68,7 +68,7 @@ def test_it_is_measured_in_the_home_pose():
 
 def test_a_servo_that_woke_up_a_turn_on_is_refused_with_the_home_that_takes_the_turn_off():
     hobby = load_driven("hobby_servos")
-    home, turned = inverse_kinematics(hobby.belief.robot, hobby.belief.robot.home_pose), Own()
+    home, turned = inverse_kinematics(hobby.controller_model.robot, hobby.controller_model.robot.home_pose), Own()
     turned.own = home + [0.0, 0.0, 2.0 * np.pi, 0.0, -4.0 * np.pi, 0.0]
     with pytest.raises(ConfigurationError, match=r"angle of leg 4.*-2 turns") as raised:
         connected(hobby, turned, 1.0)

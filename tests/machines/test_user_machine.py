@@ -142,20 +142,20 @@ def test_readings_that_are_not_counted_and_an_exit_at_the_end_are_lines(mine):
 def test_what_blocks_is_a_machine_that_is_lost(mine, name, monkeypatch):
     machine = mine("MyMachine")
     machine.connect()
-    go_on, before = threading.Event(), getattr(machine._own, name)
+    go_on, before = threading.Event(), getattr(machine._object, name)
 
     def blocks(*given):
         go_on.wait()
         return before(*given)
 
     blocks.__name__ = name
-    setattr(machine._own, name, blocks)
-    monkeypatch.setattr("stewart_drake.machines.machine.LOST", 0.02)
+    setattr(machine._object, name, blocks)
+    monkeypatch.setattr("stewart_drake.machines.machine.LOST_AFTER", 0.02)
     with pytest.raises(MachineError, match=rf"mine\.py:MyMachine: its {name} has not returned for 0\.02 s"):
         machine.read() if name == "read" else machine.command(np.zeros(6))
     machine.disconnect()
     go_on.set()
-    monkeypatch.setattr("stewart_drake.machines.machine.LOST", 5.0)
+    monkeypatch.setattr("stewart_drake.machines.machine.LOST_AFTER", 5.0)
     # An answer that comes late is not taken for that of the next call.
     machine.command(np.full(6, 0.1))
     assert machine.read().angles.tolist() == [0.1] * 6

@@ -77,7 +77,7 @@ def test_a_crank_at_its_dead_centre_ends_it_and_angles_go_on_beyond_half_a_turn(
         stepped(chain, STILL, 1000)
     assert caught.value.reason == "crank_dead_centre"
     start["angles"] += 2.0 * np.pi
-    start["anchor"] += 2.0 * np.pi
+    start["bristles"]["anchor"] += 2.0 * np.pi
     chain.restore(start)
     there = stepped(chain, static_torque(PAPER, PAPER.home_pose), 5)
     expected = inverse_kinematics(PAPER, PAPER.home_pose) + 2.0 * np.pi

@@ -85,8 +85,8 @@ def test_fed_with_what_a_run_read_its_file_says_what_the_run_logged(name, change
 
 def test_the_shipped_controller_is_that_of_the_shipped_scenario():
     shipped, own = load_controller("reachy_mini"), load_scenario("reachy_nod").control()
-    assert shipped.belief.noise == pytest.approx(own.belief.noise, rel=0.01)
-    assert shipped.belief._replace(noise=own.belief.noise) == own.belief
+    assert shipped.controller_model.noise == pytest.approx(own.controller_model.noise, rel=0.01)
+    assert shipped.controller_model._replace(noise=own.controller_model.noise) == own.controller_model
     for name in set(vars(own)) - {"name", "model", "_given"}:
         assert getattr(shipped, name) == getattr(own, name), name
 

@@ -66,14 +66,14 @@ def test_what_is_not_believed_otherwise_is_the_simulated_machines():
         Scenario.from_dict(real),
         {"robot": {"platform_mass": 0.3}, "gravity": 9.8, "noise": 1e-4, "delay": 1},
     )
-    assert right.belief == right.nominal
-    assert right.belief[1:6] == (9.0, None, "angles", right.sensors.reading_noise, 2)
+    assert right.controller_model == right.default_model
+    assert right.controller_model[1:6] == (9.0, None, "angles", right.sensors.reading_noise, 2)
     other = Scenario.from_dict({**real, "model": wrong})
-    assert other.belief.robot == right.robot.replace(platform_mass=0.3)
-    assert other.belief[1:6] == (9.8, None, "angles", 1e-4, 1)
+    assert other.controller_model.robot == right.robot.replace(platform_mass=0.3)
+    assert other.controller_model[1:6] == (9.8, None, "angles", 1e-4, 1)
     # The machine stays as it is, and the controller's side has all of its belief in its own file.
     assert (other.robot, other.gravity, other.command_delay) == (right.robot, 9.0, 2)
-    assert other.control().belief == other.belief
+    assert other.control().controller_model == other.controller_model
     assert not {"robot", "gravity", "plant", "sensors", "command_delay"} & set(other.control().to_dict())
 
 

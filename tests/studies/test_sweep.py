@@ -92,9 +92,9 @@ def test_with_a_mismatch_a_controller_goes_on_believing_in_the_servos_of_the_sce
     stiffness = {"motors.stiffness": {"kind": "uniform", "low": 20.0, "high": 30.0}}
     servos = {"motors": {"kind": "position", "stiffness": 25.0}, "safety": None}
     right, wrong = (sweep(mismatch=each, distributions=stiffness, set=servos).scenario(0) for each in (False, True))
-    assert right.belief.motors == right.motors == wrong.motors
-    assert wrong.belief.motors.stiffness == 25.0 != wrong.motors.stiffness
-    assert wrong.belief.motors.delay == wrong.motors.delay
+    assert right.controller_model.motors == right.motors == wrong.motors
+    assert wrong.controller_model.motors.stiffness == 25.0 != wrong.motors.stiffness
+    assert wrong.controller_model.motors.delay == wrong.motors.delay
 
 
 ANY = {"kind": "uniform", "low": 1, "high": 2}
@@ -205,5 +205,5 @@ def test_with_a_mismatch_delay_and_noise_are_believed_as_they_were():
         for each in (False, True)
     )
     base = load_scenario("exact_breathing")
-    assert (right.belief.delay, wrong.belief.delay) == (4, base.belief.delay)
-    assert right.belief.noise > wrong.belief.noise == base.belief.noise
+    assert (right.controller_model.delay, wrong.controller_model.delay) == (4, base.controller_model.delay)
+    assert right.controller_model.noise > wrong.controller_model.noise == base.controller_model.noise
