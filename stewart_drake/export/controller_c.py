@@ -61,41 +61,23 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
         loop.program.helper(helper)
     ticks = min(round(getattr(options, "duration", 10.0) / options.reading_period) + 1, MOST_ROWS)
     given = "".join(
-        f"    for (int k = 0; k < 18; k++) {{\n        loop->{name}[k] = reference[{start} + k];\n    }}\n"
-        for start, name in ((18 * n, source.signal) for n, source in enumerate(side.sources))
+        f"    for (int k = 0; k < 18; k++) {{\n        loop->{source.signal}[k] = reference[{18 * n} + k];\n    }}\n"
+        for n, source in enumerate(side.sources)
     )
-    words = {
-        "NAME": own,
-        "UPPER": own.upper(),
-        "SCENARIO": name,
-        "VERSION": __version__,
-        "PERIOD": number(options.reading_period).text,
-        "GRID": number(on_grid(options.reading_period)).text,
-        "TICK": number(side.context.period).text,
-        "READING": str(side.context.reading),
-        "READS": side.reading,
-        "REFERENCE": str(18 * len(side.sources)),
-        "NUMBERS": str(loop.numbers),
-        "UNIT": side.unit,
-        "TAKES": str({"rad": 0, "N m": 1, "A": 2}[side.unit]),
-        "NEEDS": "READING | MEASURED" if side.context.feedback else "READING",
-        "MEANS": "angles of the cranks [rad]" if side.context.reading == 6 else "pose [rad, m] and its rate",
-        "LIMIT": loop.program.table("command_limit", limit).base,
-        "COMMAND": loop.signals[command].array.pointer,
-        "PARTS": ", ".join(f'"{part.name}"' for part in parts),
-        "REASONS": REASONS,
-        "GIVEN": given.rstrip(),
-        "LOOP": loop.text().rstrip(),
-        "ROWS": str(ticks),
-        "TABLE": table_of(_reference(side, options.reading_period, ticks)),
-    }
+    reads_angles, period = side.context.reading == 6, options.reading_period
+    words = {"NAME": own, "UPPER": own.upper(), "SCENARIO": name, "VERSION": __version__, "REASONS": REASONS}
+    words |= {"PERIOD": number(period).text, "GRID": number(on_grid(period)).text, "UNIT": side.unit}
+    words |= {"TICK": number(side.context.period).text, "READING": str(side.context.reading), "READS": side.reading}
+    words |= {"REFERENCE": str(18 * len(side.sources)), "NUMBERS": str(loop.numbers), "GIVEN": given.rstrip()}
+    words |= {"TAKES": str({"rad": 0, "N m": 1, "A": 2}[side.unit]), "ROWS": str(ticks)}
+    words |= {"NEEDS": "READING | MEASURED" if side.context.feedback else "READING"}
+    words |= {"MEANS": "angles of the cranks [rad]" if reads_angles else "pose [rad, m] and its rate"}
+    words |= {"LIMIT": loop.program.table("command_limit", limit).base, "COMMAND": loop.signals[command].array.pointer}
+    words |= {"PARTS": ", ".join(f'"{part.name}"' for part in parts), "LOOP": loop.text().rstrip()}
+    words |= {"TABLE": table_of(_reference(side, period, ticks))}
     wanted = {"controller.h": f"{own}.h", "controller.c": f"{own}.c", "reference.c": f"{own}_reference.c"}
-    wanted |= {"main.c": "main.c", "Makefile": "Makefile"}
-    if side.context.reading == 6:
-        wanted["board.c"] = "board.c"
-    files = {}
-    for template, file in wanted.items():
-        files[file] = from_template(template, words)
+    wanted |= {name: name for name in ("main.c", "Makefile", *(["board.c"] if reads_angles else []))}
+    files = {file: from_template(template, words) for template, file in wanted.items()}
     return {**files, "replay.csv": _replay(options, side)}
 
 

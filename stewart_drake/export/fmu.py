@@ -18,17 +18,13 @@ import numpy as np
 from stewart_drake import __version__
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import ConfigurationError, Status
-from stewart_drake.base.jit import njit
-from stewart_drake.base.records import TickResult, Vec6, record
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.export.controller_c import REASONS, c_name, controller_files, from_template, readings_along
 from stewart_drake.export.loop import LoopSource
 from stewart_drake.export.types import number
 from stewart_drake.loop.part import Part
-from stewart_drake.mechanics.friction import Friction
-from stewart_drake.mechanics.kinematics_laws import OK, SERIAL, Legs, Robot
-from stewart_drake.mechanics.linear_algebra import all_finite
-from stewart_drake.plant.closed_form import ClosedForm, ClosedFormParams, ClosedFormState, _rk4, _semi_implicit
+from stewart_drake.mechanics.kinematics_laws import SERIAL, Legs
+from stewart_drake.plant.closed_form import ClosedForm
 from stewart_drake.scenario.assembly import command_path, context_of, control_side
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
@@ -42,34 +38,13 @@ class Variable(NamedTuple):
     is_input: bool
 
 
-@njit
-def plant_tick(
-    robot: Robot,
-    friction: Friction,
-    params: ClosedFormParams,
-    by_rk4: bool,
-    torque: Vec6,
-    wrench: Vec6,
-    legs: Legs,
-    state: ClosedFormState,
-) -> TickResult:
-    """A step of the closed form as the kernel of a part."""
-    if by_rk4:
-        leg, margin = _rk4(robot, friction, params, legs, torque, wrench, state)
-    else:
-        leg, margin = _semi_implicit(robot, friction, params, legs, torque, wrench, state)
-    return OK if leg < 0 and all_finite(record(state).pose[:]) else SERIAL, leg, margin
-
-
 def plant_part(scenario: Scenario) -> Part:
     """The closed form of a scenario's robot as a part at the end of a tick, from the start of the scenario on."""
     plant = ClosedForm(scenario.robot, scenario.plant, scenario.gravity)  # type: ignore[arg-type]
     plant.initial(*scenario.start())
-    loaded, friction, params, _ = plant._fixed
-    numbers, inputs = {"robot": loaded, "friction": friction, "params": params}, {"motor_torque": 6, "wrench": 6}
-    constants = {"by_rk4": getattr(scenario.plant, "integrator", "") == "rk4"}
-    statuses = {SERIAL: Status("crank_dead_centre", of_leg=True)}
-    part = Part("plant", plant_tick, constants, inputs, (), plant.save(), (Legs,), statuses, parameters=numbers)
+    numbers = dict(zip(("robot", "friction", "params"), plant._fixed, strict=True))
+    statuses, inputs = {SERIAL: Status("crank_dead_centre", of_leg=True)}, {"motor_torque": 6, "wrench": 6}
+    part = Part("plant", plant._kernel, {}, inputs, (), plant.save(), (Legs,), statuses, parameters=numbers)
     return part._replace(period=scenario.plant.time_step, end_of_tick=True)
 
 
