@@ -28,7 +28,8 @@ from stewart_drake.control.base import AdaptationOptions
 from stewart_drake.control.features import TunerParams
 from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.export.fmu import plant_part
-from stewart_drake.export.loop import LoopSource, Signal
+from stewart_drake.export.loop import LoopSource
+from stewart_drake.export.types import Array
 from stewart_drake.live.session import CONTROLLERS
 from stewart_drake.live.start import about_robot
 from stewart_drake.live.steering import SmoothValue
@@ -217,7 +218,10 @@ def loop_source(scenario: Scenario) -> LoopSource:
         "asked": 6,
         **{source.signal: source.size for source in loop.sources},
     }
-    inside = {"plant_pose": Signal("loop->measured", 0, 12), "crank_state": Signal("loop->measured", 12, 12)}
+    inside = {
+        "plant_pose": Array("double", "loop->measured", (12,)),
+        "crank_state": Array("double", "loop->measured", (12,), "12"),
+    }
     source = LoopSource(parts, outside, inside, scenario.controller.period, step, {}, VARIABLE)
     constants = {"robot": numbers, "params": stops}
     source.add_apart(Part("check", allowed_tick, constants, {"asked": 6}, (), Allowed.new(), (laws.Legs,)))

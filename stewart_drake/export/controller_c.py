@@ -72,7 +72,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
     words |= {"TAKES": str({"rad": 0, "N m": 1, "A": 2}[side.unit]), "ROWS": str(ticks)}
     words |= {"NEEDS": "READING | MEASURED" if side.context.feedback else "READING"}
     words |= {"MEANS": "angles of the cranks [rad]" if reads_angles else "pose [rad, m] and its rate"}
-    words |= {"LIMIT": loop.program.table("command_limit", limit).base, "COMMAND": loop.signals[command].array.pointer}
+    words |= {"LIMIT": loop.program.table("command_limit", limit).base, "COMMAND": loop.signals[command].pointer}
     words |= {"PARTS": ", ".join(f'"{part.name}"' for part in parts), "LOOP": loop.text().rstrip()}
     words |= {"TABLE": table_of(_reference(side, period, ticks))}
     wanted = {"controller.h": f"{own}.h", "controller.c": f"{own}.c", "reference.c": f"{own}_reference.c"}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import builtins
-import operator
 import re
 from collections.abc import Sequence
 from types import ModuleType
@@ -27,20 +26,8 @@ RESERVED = frozenset(
 )
 FIELDS = ("first", "second", "third", "fourth")
 """Of the struct in which a function returns several numbers."""
-BINARY: dict[type[ast.operator], tuple[str, int, Any]] = {
-    ast.Add: ("+", c.SUM, operator.add),
-    ast.Sub: ("-", c.SUM, operator.sub),
-    ast.Mult: ("*", c.PRODUCT, operator.mul),
-    ast.Div: ("/", c.PRODUCT, None),
-}
-_COMPARED: dict[type[ast.cmpop], tuple[str, int, Any]] = {
-    ast.Lt: ("<", c.RELATION, operator.lt),
-    ast.LtE: ("<=", c.RELATION, operator.le),
-    ast.Gt: (">", c.RELATION, operator.gt),
-    ast.GtE: (">=", c.RELATION, operator.ge),
-    ast.Eq: ("==", c.EQUALITY, operator.eq),
-    ast.NotEq: ("!=", c.EQUALITY, operator.ne),
-}
+BINARY = {ast.Add: ("+", c.SUM), ast.Sub: ("-", c.SUM), ast.Mult: ("*", c.PRODUCT), ast.Div: ("/", c.PRODUCT)}
+_COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 _MATH: dict[Any, str] = {np.arcsin: "asin", np.arccos: "acos", np.arctan2: "atan2", np.abs: "fabs", abs: "fabs"}
 _MATH |= {getattr(np, name): name for name in ("sin", "cos", "tanh", "exp", "sqrt", "rint", "log10", "hypot")}
 _MATH |= {getattr(np, name): name for name in ("minimum", "maximum", "isfinite", "isnan")} | {np.sign: "sign_of"}
@@ -84,14 +71,8 @@ class Expressions:
         self.lines.append(self.indent + text)
 
     def unless_written(self, root: str | None, text: str, otherwise: str = "") -> str:
-        """Text for a part of an argument that is not changed, or of a constant."""
-        if not root:
-            return otherwise if root == "" else text
-        return f"\0{root}\1{text}\1{otherwise}\0"
-
-    def resolved(self, text: str) -> str:
-        """Text without the marks of `unless_written`."""
-        return re.sub("\0(.*?)\1(.*?)\1(.*?)\0", lambda m: m[3] if m[1] in self.written else m[2], text)
+        """Text for a part of an argument that is not changed, or of a constant; marked until that is known."""
+        return f"\0{root}\1{text}\1{otherwise}\0" if root else otherwise if root == "" else text
 
     def mark(self, value: Value) -> None:
         """Remembers that an argument is changed."""
@@ -110,18 +91,18 @@ class Expressions:
 
     def made(self, value: Local, name: str) -> Array | Struct:
         """A new array or record under a name."""
-        if not isinstance(value.of, Array):
-            source = f" = {value.source.text}" if isinstance(value.source, Struct) else ""
-            self.emit(f"struct {self.program.struct(value.of)} {name}{source};")
-            return Struct(value.of, f"&{name}")
-        sizes = "".join(f"[{size}]" for size in value.of.shape)
-        self.emit(f"double {name}{sizes}{' = {0}' if value.zeros else ''};")
-        if isinstance(value.source, Array):
-            stars, pointer = "*" * (len(value.of.shape) - 1), value.source.pointer
-            stars, pointer = (stars, f"({pointer})") if stars and pointer.startswith("&") else (stars, pointer)
-            copied = f"{stars}{name}, {stars}{pointer}, {int(np.prod(value.of.shape))}"
+        of, source = value.of, value.source
+        if isinstance(of, c.StructType):
+            text = f" = {source.text}" if isinstance(source, Struct) else ""
+            self.emit(f"struct {self.program.struct(of)} {name}{text};")
+            return Struct(of, f"&{name}")
+        self.emit(f"double {name}{''.join(f'[{size}]' for size in of)}{' = {0}' if value.zeros else ''};")
+        if isinstance(source, Array):
+            stars = "*" * (len(of) - 1)
+            pointer = f"({source.pointer})" if stars and source.start != "0" else source.pointer
+            copied = f"{stars}{name}, {stars}{pointer}, {int(np.prod(of))}"
             self.emit(f"{self.program.helper('copy_numbers')}({copied});")
-        return value.of._replace(base=name)
+        return Array("double", name, of)
 
     # --- expressions ---
 
@@ -133,12 +114,9 @@ class Expressions:
         result: Value = method(node)
         return result
 
-    def scalar(self, node: ast.expr) -> Scalar:
-        """An expression that is a number."""
-        return self.as_scalar(self.value(node))
-
-    def as_scalar(self, value: Value) -> Scalar:
-        """A value that is a number."""
+    def scalar(self, of: ast.expr | Value) -> Scalar:
+        """An expression, or its value, that is a number."""
+        value = self.value(of) if isinstance(of, ast.expr) else of
         if isinstance(value, Constant) and isinstance(value.value, (bool, int, float, np.generic)):
             return number(value.value)
         if not isinstance(value, Scalar):
@@ -241,12 +219,12 @@ class Expressions:
             return Scalar("int", f"{left.within(c.PRODUCT)} / {right.within(c.UNARY)}", c.PRODUCT)
         if type(node.op) not in BINARY:
             raise Untyped("an operator of this kind; products of matrices, remainders of integers are loops and sums")
-        sign, binding, law = BINARY[type(node.op)]
+        sign, binding = BINARY[type(node.op)]
         kind, first, value = wider("int", left.kind, right.kind), left.within(binding), None
         if sign == "/" and kind == "int":
             first, kind = f"(double){left.within(c.UNARY)}", "double"
         elif kind == "int" and left.value is not None and right.value is not None:
-            value = law(left.value, right.value)
+            value = {"+": left.value + right.value, "-": left.value - right.value}.get(sign, left.value * right.value)
             if left.text.isdigit() and right.text.isdigit():
                 return number(value)
         return Scalar(kind, f"{first} {sign} {right.within(binding + 1)}", binding, value)
@@ -267,12 +245,15 @@ class Expressions:
     def _compare_value(self, node: ast.Compare) -> Value:
         values, results = [self.scalar(part) for part in (node.left, *node.comparators)], []
         for op, a, b in zip(node.ops, values, values[1:], strict=False):
-            if type(op) not in _COMPARED:
+            sign = _COMPARED.get(type(op), "")
+            if not sign:
                 raise Untyped("a comparison of this kind")
-            sign, binding, law = _COMPARED[type(op)]
-            known = a.kind == b.kind == "int" and a.value is not None and b.value is not None
-            text = f"{a.within(c.SUM)} {sign} {b.within(c.SUM)}"
-            results.append(number(law(a.value, b.value)) if known else Scalar("bool", text, binding))
+            is_equality = sign in ("==", "!=")
+            if is_equality and a.kind == b.kind == "int" and a.value is not None and b.value is not None:
+                results.append(number((a.value == b.value) == (sign == "==")))
+            else:
+                binding = c.EQUALITY if is_equality else c.RELATION
+                results.append(Scalar("bool", f"{a.within(c.SUM)} {sign} {b.within(c.SUM)}", binding))
         if len(results) == 1:
             return results[0]
         return Scalar("bool", " && ".join(result.text for result in results), c.CONJUNCTION)
@@ -285,7 +266,7 @@ class Expressions:
         if isinstance(yes, Array) and isinstance(no, Array) and yes.shape == no.shape:
             text = f"({test.within(c.CHOICE + 1)} ? {yes.pointer} : {no.pointer})"
             return Array(yes.kind, text, yes.shape, root=yes.root or no.root)
-        yes, no = self.as_scalar(yes), self.as_scalar(no)
+        yes, no = self.scalar(yes), self.scalar(no)
         text = f"{test.within(c.CHOICE + 1)} ? {yes.within(c.CHOICE)} : {no.within(c.CHOICE)}"
         return Scalar(wider(yes.kind, no.kind), text, c.CHOICE)
 
@@ -297,8 +278,7 @@ class Expressions:
         if isinstance(node.func, ast.Attribute) and not isinstance(owner := self.value(node.func.value), Constant):
             if node.func.attr != "copy" or not isinstance(owner, (Array, Struct)):
                 raise Untyped(f"the method {node.func.attr}; write a loop")
-            of = Array("double", "", owner.shape) if isinstance(owner, Array) else owner.of
-            return Local(of, owner)
+            return Local(owner.shape if isinstance(owner, Array) else owner.of, owner)
         called = getattr(self.value(node.func), "value", None)
         if called in (np.empty, np.zeros):
             return self._new(node.args, called is np.zeros)
@@ -309,7 +289,7 @@ class Expressions:
             return number(given[0].shape[0])
         if called not in (min, max, *_MATH, *c.NUMBERS):
             return self._law(called, given)
-        of_numbers = [self.as_scalar(value) for value in given]
+        of_numbers = [self.scalar(value) for value in given]
         first = of_numbers[0]
         if called in c.NUMBERS:
             kind = c.NUMBERS[called]
@@ -335,23 +315,20 @@ class Expressions:
         shape = tuple(self.scalar(size).value for size in sizes)
         if not all(isinstance(size, int) for size in shape):
             raise Untyped("an array whose size is computed; write a constant")
-        return Local(Array("double", "", shape), zeros=zeros)
+        return Local(shape, zeros=zeros)
 
     def _law(self, called: Any, values: Sequence[Value]) -> Value:
-        given = [
-            self.made(x, self.fresh(f"for_{getattr(called, '__name__', '')}")) if isinstance(x, Local) else x
-            for x in values
-        ]
-        signature, texts = self.program.function(called, given)[0], []
+        given = [self.made(x, self.fresh("local")) if isinstance(x, Local) else x for x in values]
+        (name, kinds, written), texts = self.program.function(called, given), list[str]()
         for k, value in enumerate(given):
-            if k in signature.written:
+            if k in written:
                 self.mark(value)
             text = value.text if isinstance(value, Scalar) else value.pointer  # type: ignore[union-attr]
-            if isinstance(value, Array) and len(value.shape) > 1 and k not in signature.written:
+            if isinstance(value, Array) and len(value.shape) > 1 and k not in written:
                 # C does not make a pointer to constant rows of a pointer to rows.
                 text = self.unless_written(value.root, "", f"(const {value.declared('')})") + text
             texts.append(text)
-        text, kinds = f"{signature.name}({', '.join(texts)})", signature.result
+        text = f"{name}({', '.join(texts)})"
         if len(kinds) > 1:
             return TupleType(tuple(Scalar(kind, "") for kind in kinds), text)
         return Scalar(kinds[0] if kinds else "void", text)

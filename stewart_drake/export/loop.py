@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,19 +16,6 @@ from stewart_drake.export.types import Array, Scalar, Struct, StructType, Untype
 from stewart_drake.loop.part import HEALTHY, Part
 
 _STATUSES = 32  # A kernel's statuses are below it.
-
-
-class Signal(NamedTuple):
-    """A signal in the record of a loop: its array, the index of its first number, and how many it has."""
-
-    base: str
-    start: int
-    size: int
-
-    @property
-    def array(self) -> Array:
-        """As an argument of a kernel."""
-        return Array("double", self.base, (self.size,), str(self.start))
 
 
 class LoopSource:
@@ -48,7 +35,7 @@ class LoopSource:
         self,
         parts: Sequence[Part],
         outside: Mapping[str, int],
-        inside: Mapping[str, Signal],
+        inside: Mapping[str, Array],
         period: float,
         step: float,
         given: Mapping[str, np.ndarray],
@@ -58,7 +45,7 @@ class LoopSource:
         self.numbers, self.places, self._members, self._initial = 0, dict[str, tuple[int, int]](), [], list[str]()
         self._runs: list[str] = []
         self._calls: dict[bool, list[str]] = {False: [], True: []}
-        self.signals = {name: Signal(f"loop->{name}", 0, size) for name, size in outside.items()} | dict(inside)
+        self.signals = {name: _numbers(f"loop->{name}", size) for name, size in outside.items()} | dict(inside)
         self._member("steps", "double steps", np.zeros(1))
         given_sizes = {name: array.size for name, array in given.items()}
         for name, size in {"failure": 2, **outside, **given_sizes}.items():
@@ -67,7 +54,7 @@ class LoopSource:
             for name in part.outputs:
                 kind, place = part.initial.dtype[name], f"loop->{part.name}.{name}"
                 base = f"((double *)&{place})" if kind.names else place if kind.shape else f"(&{place})"
-                self.signals[part.signal(name)] = Signal(base, 0, part.size(name))
+                self.signals[part.signal(name)] = _numbers(base, part.size(name))
         for k, part in enumerate(parts):
             self._add(k, part)
             steps = steps_per(f"{part.name}.period", part.period or period, step)
@@ -124,9 +111,9 @@ class LoopSource:
             name = f"{part.name}_scratch_{n}" if n else f"{part.name}_scratch"
             arguments.append(self._record(name, StructType(kind, kind.layout), kind.new()))
         arguments.append(self._record(part.name, of, part.initial))
-        signature, _ = self.program.function(part.kernel, arguments)
-        call = f"{signature.name}({', '.join(x.text if isinstance(x, Scalar) else x.pointer for x in arguments)})"
-        if not signature.result:
+        name, kinds, _ = self.program.function(part.kernel, arguments)
+        call = f"{name}({', '.join(x.text if isinstance(x, Scalar) else x.pointer for x in arguments)})"
+        if not kinds:
             return [wrapped(f"    {call};"), "    return 0;"]
         lines, target, undo, healthy = [], "loop->failure", [], []
         if part.fault_tolerant:
@@ -135,14 +122,14 @@ class LoopSource:
             healthy = [f"        {target}[{n}] = {value};" for n, value in enumerate(HEALTHY)]
             note = "/* The state is as it was; the safety layer gets the cause. */"
             undo = [f"    {note}", f"    loop->{part.name} = before;"]
-        lines.append(wrapped(f"    const {self.program.result(signature.result)} result = {call};"))
+        lines.append(wrapped(f"    const {self.program.result(kinds)} result = {call};"))
         lines += ["    if (result.first == 0) {", *healthy, "        return 0;", "    }", *undo]
         causes, of_leg = np.ones(_STATUSES, dtype=int), np.zeros(_STATUSES, dtype=int)
         for status, ending in part.statuses.items():
             causes[status], of_leg[status] = failure_code(ending.reason), ending.of_leg
         lines.append(f"    {target}[0] = {self.program.table(f'{part.name}_causes', causes).base}[result.first];")
         leg = "-1"
-        if signature.result[1] == "int":
+        if kinds[1] == "int":
             leg = f"{self.program.table(f'{part.name}_of_leg', of_leg).base}[result.first] ? result.second : -1"
         return [*lines, f"    {target}[1] = {leg};", f"    return {0 if part.fault_tolerant else k + 1};"]
 
@@ -157,23 +144,23 @@ class LoopSource:
         if value.dtype.names:
             of = struct_type(value.dtype, annotation)
             if name in part.connections:
-                pointer = self.signals[str(part.connections[name])].array.pointer
+                pointer = self.signals[str(part.connections[name])].pointer
                 return Struct(of, f"((const struct {self.program.struct(of)} *){pointer})", None)
             return self._record(member, of, value) if is_variable else self.program.constant_record(member, value, of)
         if name in part.connections:
             return self._input(part, name)
         if is_variable:
             self._member(member, f"double {member}[{value.size}]", value)
-            return Signal(f"loop->{member}", 0, value.size).array
+            return _numbers(f"loop->{member}", value.size)
         return self.program.table(member, value)
 
     def _input(self, part: Part, name: str) -> Array:
         source = "time" if name == "time" else part.source(name)
         if isinstance(source, str):
-            return self.signals[source].array
+            return self.signals[source]
         for member, array in self._given.items():
             if array is source:
-                return Signal(f"loop->{member}", 0, array.size).array
+                return _numbers(f"loop->{member}", array.size)
         return self.program.table(f"no_{name}" if not np.any(source) else f"{part.name}_{name}", source)
 
     # --- text ---
@@ -201,13 +188,17 @@ class LoopSource:
 
     def _signal_table(self) -> str:
         signals = sorted(self.signals.items())
-        rows = "".join(f'    {{"{name}", {signal.size}}},\n' for name, signal in signals)
-        cases = "".join(f"    case {k}: return {x.array.pointer};\n" for k, (_, x) in enumerate(signals))
+        rows = "".join(f'    {{"{name}", {signal.shape[0]}}},\n' for name, signal in signals)
+        cases = "".join(f"    case {k}: return {x.pointer};\n" for k, (_, x) in enumerate(signals))
         return (
             f"static const struct {{\n    const char *name;\n    int size;\n}} signals[] = {{\n{rows}}};\n\n"
             "static const double *signal_at(const struct loop *loop, int k)\n{\n    switch (k) {\n"
             f"{cases}    default: return 0;\n    }}\n}}\n"
         )
+
+
+def _numbers(base: str, size: int) -> Array:
+    return Array("double", base, (size,))
 
 
 def table_of(rows: np.ndarray) -> str:

@@ -104,8 +104,8 @@ class Program:
         self._helpers |= {name} & _HELPERS.keys()
         return name
 
-    def function(self, function: Any, given: Sequence[Value]) -> tuple[c.Signature, tuple[Value, ...]]:
-        """A function for arguments like these, printed if it has not been, and its parameters."""
+    def function(self, function: Any, given: Sequence[Value]) -> c.Signature:
+        """A function for arguments like these, printed if it has not been."""
         source, function = source_of(function), getattr(function, "py_func", function)
         arguments, printed = source.tree.args.args, Statements(self, function, source)
         if len(arguments) != len(given):
@@ -132,7 +132,7 @@ class Program:
             name = _free(name, self._functions, self._tables)
             self._signatures[key], text = printed.text(name, parameters)
             self._functions[name] = text
-        return self._signatures[key], parameters
+        return self._signatures[key]
 
     def text(self) -> str:
         """All that has been printed, in an order that C takes."""

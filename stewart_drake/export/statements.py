@@ -19,7 +19,7 @@ class Statements(Expressions):
     """A function that is being printed, statement by statement."""
 
     def text(self, name: str, parameters: Sequence[Value]) -> tuple[c.Signature, str]:
-        """The function, printed."""
+        """The function's name, the types of its results, which arguments it writes; and its text."""
         tree, self.top = self.source.tree, list[str]()
         self.result = c.result_kinds(self.source.types.get("return", object))
         arguments = [argument.arg for argument in tree.args.args]
@@ -40,8 +40,10 @@ class Statements(Expressions):
         head = f"static {self.program.result(self.result)} {name}({', '.join(heads) or 'void'})"
         docstring, place = ast.get_docstring(tree) or "", f"{self.source.file}, {tree.name}"
         note = comment(f"{docstring}\n\n{place}" if "\n" in docstring else f"{docstring}\n{place}".strip())
-        body = "\n".join(wrapped(self.resolved(line)) for line in [*self.top, *self.lines])
-        return c.Signature(name, self.result, frozenset(written)), f"{note}{wrapped(head)}\n{{\n{body}\n}}"
+        marks = re.compile("\0(.*?)\1(.*?)\1(.*?)\0")
+        lines = (marks.sub(lambda m: m[3] if m[1] in self.written else m[2], x) for x in (*self.top, *self.lines))
+        body = "\n".join(map(wrapped, lines))
+        return (name, self.result, written), f"{note}{wrapped(head)}\n{{\n{body}\n}}"
 
     def statements(self, body: Sequence[ast.stmt]) -> None:
         """Statements, with the comments before them."""
@@ -69,7 +71,7 @@ class Statements(Expressions):
     def _expr(self, node: ast.Expr) -> None:
         if not isinstance(node.value, ast.Constant):
             value = self.value(node.value)
-            self.emit(f"{value.call if isinstance(value, TupleType) else self.as_scalar(value).text};")
+            self.emit(f"{value.call if isinstance(value, TupleType) else self.scalar(value).text};")
 
     def _if(self, node: ast.If) -> None:
         test = self.scalar(node.test)
@@ -122,7 +124,7 @@ class Statements(Expressions):
     def _return(self, node: ast.Return) -> None:
         value = TupleType(()) if node.value is None else self.value(node.value)
         if not isinstance(value, TupleType):
-            value = TupleType((self.as_scalar(value),))
+            value = TupleType((self.scalar(value),))
         kinds = tuple(item.kind for item in value.items)
         if len(kinds) != len(self.result) or any(
             wider(*pair) != pair[0] for pair in zip(self.result, kinds, strict=True)
@@ -174,7 +176,7 @@ class Statements(Expressions):
         place = self.value(target)
         self.mark(self.value(target.value))
         if isinstance(place, Scalar):
-            self.emit(f"{place.text} = {self.as_scalar(value).text};")
+            self.emit(f"{place.text} = {self.scalar(value).text};")
         elif isinstance(place, Struct) and isinstance(value, Struct) and place.of == value.of:
             self.emit(f"{place.text} = {value.text};")
         else:
@@ -184,9 +186,8 @@ class Statements(Expressions):
         if name == "_":
             return
         text, before, here = self.c_name(name), self.values.get(name), self.scope.get(name) == self.line
-        if isinstance(value, Constant):
-            value = self.as_scalar(value)
-        if isinstance(value, Scalar):
+        if isinstance(value, (Scalar, Constant)):
+            value = self.scalar(value)
             if before is None and not here:
                 self.top.append(f"    {value.kind} {text} = {'false' if value.kind == 'bool' else '0'};")
             elif before is not None and getattr(before, "kind", "") != value.kind:
@@ -209,7 +210,7 @@ class Statements(Expressions):
         elif isinstance(value, TupleType):
             self.emit(f"const double {text}[] = {{{', '.join(item.text for item in value.items)}}};")
             self.values[name] = Array("double", text, (len(value.items),), root=None)
-        else:
+        else:  # A record in another one.
             self.values[name] = value
 
     def _augassign(self, node: ast.AugAssign) -> None:

@@ -112,14 +112,16 @@ class Constant(NamedTuple):
 
 
 class Local(NamedTuple):
-    """A new array or record that has no name yet."""
+    """A new array or record that has no name yet, and what it is a copy of."""
 
-    of: Array | StructType
-    source: Array | Struct | None = None  # What it is a copy of.
+    of: tuple[int, ...] | StructType
+    source: Array | Struct | None = None
     zeros: bool = False
 
 
 Value = Scalar | Array | Struct | TupleType | Constant | Local
+Signature = tuple[str, tuple[str, ...], set[int]]
+"""A printed function: its name, types of its results, and which arguments it writes."""
 
 
 def number(value: Any) -> Scalar:
@@ -194,11 +196,3 @@ def result_kinds(annotation: Any) -> tuple[str, ...]:
     if not all(kind in NUMBERS for kind in kinds):
         raise Untyped("a result that is no number; let the function fill its last argument")
     return tuple(NUMBERS[kind] for kind in kinds)
-
-
-class Signature(NamedTuple):
-    """A printed function: its name, types of its results, and which arguments it writes."""
-
-    name: str
-    result: tuple[str, ...]
-    written: frozenset[int]

@@ -23,10 +23,10 @@ VALUES = Array("double", "values", (6,))
 
 def printed(law, *arguments):
     program = Program()
-    signature, _ = program.function(law, arguments)
+    name, *_ = program.function(law, arguments)
     names = [argument.pointer for argument in arguments]
     heads = [f"struct {program.struct(x.of)} *state" if isinstance(x, Struct) else "double *values" for x in arguments]
-    call = f"{signature.name}({', '.join(names)});"
+    call = f"{name}({', '.join(names)});"
     head = "#include <math.h>\n#include <stdbool.h>\n\n"
     return f"{head}{program.text()}\nvoid run({', '.join(heads)})\n{{\n    {call}\n}}\n"
 
