@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import FAILURES, ConfigurationError, RunFailure
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.export.loop import LoopSource, table_of
-from stewart_drake.export.program import TEMPLATES
+from stewart_drake.export.program import from_template
 from stewart_drake.export.types import number
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.scenario.assembly import ControlSide, control_side
@@ -33,11 +32,6 @@ def c_name(name: str) -> str:
     """A name of a scenario as one of C."""
     name = re.sub(r"\W", "_", name, flags=re.ASCII)
     return name if name[:1].isalpha() else f"robot_{name}"
-
-
-def from_template(file: str, words: Mapping[str, str]) -> str:
-    """A template with words in the places of their names."""
-    return re.sub(r"@(\w+)@", lambda match: words[match[1]], (TEMPLATES / file).read_text(encoding="utf-8"))
 
 
 def controller_files(options: ControlOptions, name: str) -> dict[str, str]:

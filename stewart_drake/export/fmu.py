@@ -19,8 +19,9 @@ from stewart_drake import __version__
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import ConfigurationError, Status
 from stewart_drake.base.sampling import on_grid
-from stewart_drake.export.controller_c import REASONS, c_name, controller_files, from_template, readings_along
+from stewart_drake.export.controller_c import REASONS, c_name, controller_files, readings_along
 from stewart_drake.export.loop import LoopSource
+from stewart_drake.export.program import from_template
 from stewart_drake.export.types import number
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.kinematics_laws import SERIAL, Legs

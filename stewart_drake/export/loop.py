@@ -9,7 +9,7 @@ import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError, failure_code
 from stewart_drake.base.sampling import steps_per
-from stewart_drake.export.program import Program, braced, filled
+from stewart_drake.export.program import Program, braced, filled, from_template
 from stewart_drake.export.source import ALLOWED, source_of
 from stewart_drake.export.statements import wrapped
 from stewart_drake.export.types import Array, Scalar, Struct, StructType, Untyped, number, struct_type
@@ -42,8 +42,8 @@ class LoopSource:
         variable: Collection[str] = (),
     ) -> None:
         self.program, self.parts, self._given, self._variable = Program(), tuple(parts), given, variable
-        self.numbers, self.places, self._members, self._initial = 0, dict[str, tuple[int, int]](), [], list[str]()
-        self._runs: list[str] = []
+        self.numbers, self.places, self._members = 0, dict[str, tuple[int, int]](), list[str]()
+        self._initial, self._runs = list[str](), list[str]()
         self._calls: dict[bool, list[str]] = {False: [], True: []}
         self.signals = {name: _numbers(f"loop->{name}", size) for name, size in outside.items()} | dict(inside)
         self._member("steps", "double steps", np.zeros(1))
@@ -59,7 +59,7 @@ class LoopSource:
             self._add(k, part)
             steps = steps_per(f"{part.name}.period", part.period or period, step)
             due = "" if steps == 1 else f"fmod(loop->steps, {float(steps)}) == 0.0 && "
-            call = f"    if ({due}(status = run_{part.name}(loop)) != 0) {{\n        return status;\n    }}\n"
+            call = f"    if ({due}(status = run_{part.name}(loop)) != 0) {{\n        return status;\n    }}"
             self._calls[part.end_of_tick].append(call)
 
     def _member(self, name: str, declaration: str, initial: np.ndarray) -> None:
@@ -163,38 +163,15 @@ class LoopSource:
                 return _numbers(f"loop->{member}", array.size)
         return self.program.table(f"no_{name}" if not np.any(source) else f"{part.name}_{name}", source)
 
-    # --- text ---
-
     def text(self) -> str:
         """All but the functions that are called from outside."""
-        initial = "\n".join(self._initial or ["    .steps = 0.0,"])
-        return "\n".join(
-            [
-                self.program.text(),
-                "/* All signals and states. */\nstruct loop {\n" + "\n".join(self._members) + "\n};\n",
-                f"static const struct loop initial = {{\n{initial}\n}};\n",
-                "\n\n".join(self._runs) + "\n",
-                self._chain("run_parts", "The parts that are due, but those of the end of a tick.", False),
-                self._chain("end_parts", "What acts from the next tick on.", True),
-                self._signal_table(),
-            ]
-        )
-
-    def _chain(self, name: str, note: str, end: bool) -> str:
-        calls = self._calls[end]
-        body = "    int status;\n" + "".join(calls) if calls else "    (void)loop;\n"
-        note = f"/* {note} Returns 0, or which part failed, counted from 1. */"
-        return f"{note}\nstatic int {name}(struct loop *loop)\n{{\n{body}    return 0;\n}}\n"
-
-    def _signal_table(self) -> str:
         signals = sorted(self.signals.items())
-        rows = "".join(f'    {{"{name}", {signal.shape[0]}}},\n' for name, signal in signals)
-        cases = "".join(f"    case {k}: return {x.pointer};\n" for k, (_, x) in enumerate(signals))
-        return (
-            f"static const struct {{\n    const char *name;\n    int size;\n}} signals[] = {{\n{rows}}};\n\n"
-            "static const double *signal_at(const struct loop *loop, int k)\n{\n    switch (k) {\n"
-            f"{cases}    default: return 0;\n    }}\n}}\n"
-        )
+        words = {"LAWS": self.program.text(), "MEMBERS": "\n".join(self._members), "RUNS": "\n\n".join(self._runs)}
+        words |= {"INITIAL": "\n".join(self._initial or ["    .steps = 0.0,"])}
+        words |= {name: "\n".join(self._calls[end]) for name, end in (("PARTS", False), ("ENDS", True))}
+        words["SIGNALS"] = "\n".join(f'    {{"{name}", {signal.shape[0]}}},' for name, signal in signals)
+        words["POINTERS"] = "\n".join(f"    case {k}: return {x.pointer};" for k, (_, x) in enumerate(signals))
+        return from_template("loop.c", words).replace("\n\n    return status", "\n    return status")
 
 
 def _numbers(base: str, size: int) -> Array:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import ast
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +23,16 @@ from stewart_drake.export.source import comment, field_comments, source_of
 from stewart_drake.export.statements import WIDTH, Statements
 from stewart_drake.export.types import Array, Struct, StructType, Untyped, Value, number
 
-TEMPLATES = Path(__file__).parent / "templates"
+_TEMPLATES = Path(__file__).parent / "templates"
 _HELPERS = {
     re.findall(r"^static \w+ (\w+)", text, re.MULTILINE)[0]: text
-    for text in (TEMPLATES / "helpers.c").read_text(encoding="utf-8").strip().split("\n\n")
+    for text in (_TEMPLATES / "helpers.c").read_text(encoding="utf-8").strip().split("\n\n")
 }
+
+
+def from_template(file: str, words: Mapping[str, str]) -> str:
+    """A template with words in the places of their names."""
+    return re.sub(r"@(\w+)@", lambda match: words[match[1]], (_TEMPLATES / file).read_text(encoding="utf-8"))
 
 
 class Program:

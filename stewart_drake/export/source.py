@@ -16,16 +16,16 @@ from stewart_drake.base.records import Record
 from stewart_drake.export.types import Untyped
 
 ALLOWED = "what can be printed as C, see docs/export.md"
-_PACKAGE = Path(__file__).parents[1]
+_ROOT = Path(__file__).parents[2]
 
 
 class Source(NamedTuple):
-    """A function: its file, its syntax, the comments on lines of their own, and the types of its arguments and result."""
+    """A function."""
 
     file: str
     tree: ast.FunctionDef
-    comments: dict[int, str]
-    types: dict[str, Any]
+    comments: dict[int, str]  # Those on lines of their own.
+    types: dict[str, Any]  # Of arguments and result.
 
     def refusal(self, line: int, given: str, reason: str) -> ConfigurationError:
         """The error of a line that cannot be printed."""
@@ -55,8 +55,8 @@ def source_of(function: Any) -> Source:
     tree, comments, _ = _parsed(path)
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef) and line in (node.lineno, *(x.lineno for x in node.decorator_list[:1])):
-            place = Path(path)
-            file = str(place.relative_to(_PACKAGE.parent)) if place.is_relative_to(_PACKAGE.parent) else path
+            inside = Path(path).is_relative_to(_ROOT)
+            file = str(Path(path).relative_to(_ROOT)) if inside else path
             return Source(file, node, comments, get_type_hints(function, include_extras=True))
     raise Untyped(f"{function.__name__}, which has no source")
 
@@ -64,9 +64,8 @@ def source_of(function: Any) -> Source:
 def field_comments(kind: type[Record]) -> dict[str, str]:
     """The comments beside the fields of a record."""
     comments: dict[str, str] = {}
-    for base in reversed(kind.__mro__):
-        path = inspect.getsourcefile(inspect.getmodule(base)) if issubclass(base, Record) else None  # type: ignore[arg-type]
-        tree, _, beside = _parsed(path) if path else (ast.Module([], []), {}, {})
+    for base in reversed(kind.__mro__[:-1]):
+        tree, _, beside = _parsed(inspect.getfile(base))
         for node in tree.body:
             if isinstance(node, ast.ClassDef) and node.name == base.__name__:
                 fields = [field for field in node.body if isinstance(field, ast.AnnAssign)]
@@ -90,33 +89,23 @@ def scope_of(tree: ast.FunctionDef) -> tuple[dict[str, int], set[str]]:
     places: dict[str, list[tuple[tuple[int, ...], int | None]]] = {}
     loops: set[str] = set()
 
-    def note(node: ast.AST, path: tuple[int, ...], inside: frozenset[str], line: int | None = None) -> None:
-        for name in ast.walk(node):
-            if isinstance(name, ast.Name) and (name.id not in inside or isinstance(name.ctx, ast.Store)):
-                places.setdefault(name.id, []).append((path, line if isinstance(name.ctx, ast.Store) else None))
-
     def visit(body: Sequence[ast.stmt], path: tuple[int, ...], inside: frozenset[str]) -> None:
         for k, node in enumerate(body):
+            for name in ast.walk(getattr(node, "iter", getattr(node, "test", node))):
+                if isinstance(name, ast.Name) and (name.id not in inside or isinstance(name.ctx, ast.Store)):
+                    line = node.lineno if isinstance(name.ctx, ast.Store) else None
+                    places.setdefault(name.id, []).append((path, line))
             if isinstance(node, (ast.For, ast.While, ast.If)):
-                deeper = inside
-                note(node.iter if isinstance(node, ast.For) else node.test, path, inside)
-                if isinstance(node, ast.For) and isinstance(node.target, ast.Name):
-                    loops.add(node.target.id)
-                    deeper = inside | {node.target.id}
-                visit(node.body, (*path, 2 * k), deeper)
+                own = {ast.unparse(node.target)} if isinstance(node, ast.For) else set()
+                loops.update(own)
+                visit(node.body, (*path, 2 * k), inside | own)
                 visit(node.orelse, (*path, 2 * k + 1), inside)
-            elif isinstance(node, (ast.Assign, ast.AnnAssign)) and node.value is not None:
-                note(node.value, path, inside)
-                for target in node.targets if isinstance(node, ast.Assign) else [node.target]:
-                    for part in target.elts if isinstance(target, ast.Tuple) else [target]:
-                        note(part, path, inside, node.lineno if isinstance(part, ast.Name) else None)
-            else:
-                note(node, path, inside)
 
     visit(tree.body, (), frozenset())
-    lines = {}
-    for name, found in places.items():
-        path, line = found[0]
-        if line is not None and all(other[: len(path)] == path for other, _ in found):
-            lines[name] = line
+    first = {name: found[0] for name, found in places.items()}
+    lines = {
+        name: line
+        for name, (block, line) in first.items()
+        if line is not None and all(path[: len(block)] == block for path, _ in places[name])
+    }
     return lines, (loops & places.keys()) - {"_"}

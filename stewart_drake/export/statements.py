@@ -115,11 +115,10 @@ class Statements(Expressions):
         self._block(f"for (int {name} = {start.text}; {until}; {name}{'++' if step.value == 1 else '--'})", node.body)
         self.emit("}")
 
-    def _continue(self, _: ast.Continue) -> None:
-        self.emit("continue;")
+    def _jump(self, node: ast.Break | ast.Continue) -> None:
+        self.emit(f"{ast.unparse(node)};")
 
-    def _break(self, _: ast.Break) -> None:
-        self.emit("break;")
+    _break = _continue = _jump
 
     def _return(self, node: ast.Return) -> None:
         value = TupleType(()) if node.value is None else self.value(node.value)
@@ -191,8 +190,8 @@ class Statements(Expressions):
             if before is None and not here:
                 self.top.append(f"    {value.kind} {text} = {'false' if value.kind == 'bool' else '0'};")
             elif before is not None and getattr(before, "kind", "") != value.kind:
-                better = "write `0.0` or `float(...)`" if "bool" not in (value.kind, before.kind) else "take two names"
-                raise Untyped(f"`{name}`, {c.described(before)} before and {c.described(value)} here; {better}")
+                kinds = f"{c.described(before)} before and {c.described(value)} here"
+                raise Untyped(f"`{name}`, {kinds}; write `0.0` or `float(...)`, or take two names")
             self.emit(f"{f'{value.kind} ' if before is None and here else ''}{text} = {value.text};")
             self.values[name] = Scalar(value.kind, text)
         elif isinstance(value, (Array, Struct)) and value.pointer in (text, getattr(before, "pointer", "")):
