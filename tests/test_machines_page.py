@@ -36,7 +36,7 @@ def test_the_commands_for_reachy_mini_are_scenarios():
     for _, _, name, *rest in drives:
         sets = [value for flag, value in itertools.pairwise(rest) if flag == "--set"]
         scenario = load_driven(name, sets)
-        assert scenario.controller_model.motors.takes == "angle"
+        assert scenario.controller_model.motors.command_quantity == "angle"
         if "controller.feedforward=none" in sets:
             # Nothing but the angles of the inverse kinematics.
             assert (scenario.controller_model.motors.damping, scenario.controller_model.friction) == (0.0, None)

@@ -69,9 +69,8 @@ class Record(_Base):
         super().__init_subclass__()
         cls.fields = {**getattr(cls, "fields", {}), **inspect.get_annotations(cls, eval_str=True)}
         shapes = {name: _shape(kind, cls._sizes) for name, kind in cls.fields.items()}
-        items = (
-            shapes.items() if None not in shapes.values() else ()
-        )  # A size is missing: `sized` makes a record of it.
+        # Without fields if a size is missing, see `sized`.
+        items = shapes.items() if None not in shapes.values() else ()
         cls.layout = np.dtype([(n, of) if isinstance(of, np.dtype) else (n, np.float64, of) for n, of in items])
 
     @classmethod

@@ -90,17 +90,8 @@ def regression_tick(
 ) -> None:
     """A tick: extends the present block; a complete one gives a sample of the motion in the middle of the kernel.
 
-    Args:
-        robot: The model at first.
-        rest: The same without a head.
-        joints: Ball joints of the model.
-        friction: Friction of the motors, of the model.
-        params: Parameters.
-        reading: (6,) [rad] angles of the cranks, or (12,) pose and rate.
-        command: (6,) to the motors.
-        legs: Overwritten.
-        sample: Overwritten.
-        state: Changed in place.
+    `robot`, `joints` and `friction` are those of the model, `rest` is the robot without a head. A reading has the
+    angles (6,) [rad] of the cranks, or pose and rate (12,).
     """
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     if params.frozen == 1.0:

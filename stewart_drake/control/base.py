@@ -13,7 +13,7 @@ from stewart_drake.base.code import CodePath
 from stewart_drake.base.config import Period, Section
 from stewart_drake.base.errors import Status, failure
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Record, TickResult, Vec6, Vec12, Vec18, record
+from stewart_drake.base.records import Record, TickResult, Vec2, Vec6, Vec12, Vec18, record
 from stewart_drake.loop.part import Kernel, LoopContext, Part
 from stewart_drake.loop.user_parts import UserParts
 from stewart_drake.mechanics.dynamics import pose_acceleration_map, task_inertia
@@ -227,6 +227,13 @@ def check_start(robot: RobotParameters, pose: np.ndarray) -> None:
     result = _check(robot_record(robot), at_rest, Legs.empty())
     if result[0] != OK:
         raise failure(STATUSES[result[0]], result[1], result[2], {"measurement": at_rest})
+
+
+class ControllerState(Record):
+    """State of a controller without memory; base of others."""
+
+    torque: Vec6  # [N m]
+    health: Vec2  # See `loop.part.HEALTHY`.
 
 
 def controller_part(

@@ -8,7 +8,7 @@ import numpy as np
 
 from stewart_drake.base.config import NotNegative, Period, Positive
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat6x1, Record, TickResult, Vec2, Vec6, Vec12, Vec18, record
+from stewart_drake.base.records import Mat6x1, TickResult, Vec6, Vec12, Vec18, record
 from stewart_drake.control.base import (
     AT_REFERENCE,
     DERIVATIVE,
@@ -16,6 +16,7 @@ from stewart_drake.control.base import (
     INTEGRAL,
     PROPORTIONAL,
     ControllerOptions,
+    ControllerState,
     Saturation,
     controller_part,
     heave_inertia,
@@ -111,11 +112,9 @@ SLOW = 1e-4  # [rad/s] a reference that turns a crank more slowly is at rest.
 FADE_TIME = 0.3  # [s] time constant with which the torque against sticking fades after the crank has broken away.
 
 
-class PidState(Record):
+class PidState(ControllerState):
     """State of the PID."""
 
-    torque: Vec6  # [N m]
-    health: Vec2  # See `loop.part.HEALTHY`.
     crank_integral: Vec6  # [rad s] integral of the errors, for the next tick.
     error: Vec6  # [rad] crank angles minus those of the reference.
     stick_torque: Vec6  # [N m] torque that grows while a crank sticks.
@@ -160,19 +159,8 @@ def pid_tick(
     reference are by inverse kinematics, their rates by the Jacobian. The integral changes after it has been used, see
     `limit_and_integrate`.
 
-    Args:
-        robot: The controller's model.
-        coulomb_uncertainty: (6,) uncertainty of the Coulomb friction of each motor, 1 at first.
-        params: Options.
-        measurement: (12,) pose and rate now.
-        reference: (18,) for the feedforward.
-        reference_now: (18,) for the feedback.
-        legs: Of the measurement, overwritten.
-        target_legs: Of the reference, overwritten.
-        state: Of the tick before; of this one where the status is OK.
-
-    Returns:
-        Status of `base.STATUSES`; leg or -1; margin.
+    `reference` is for the feedforward, `reference_now` for the feedback; `coulomb_uncertainty` is 1 at the start. Both
+    `legs` are overwritten. Returns one of `base.STATUSES`, leg or -1, margin.
     """
     robot, params, state = record(robot), record(params), record(state)
     legs, target = record(legs), record(target_legs)
@@ -290,12 +278,10 @@ class ComputedTorqueOptions(ControllerOptions):
         return (controller_part(computed_torque_tick, context.robot, params, ComputedTorqueState, Legs),)
 
 
-class ComputedTorqueState(Record):
+class ComputedTorqueState(ControllerState):
     """State of computed torque."""
 
-    torque: Vec6  # [N m]
     integral: Vec6  # [rad s, m s] z for the next tick.
-    health: Vec2  # See `loop.part.HEALTHY`.
 
 
 class ComputedTorqueParams(Saturation):

@@ -8,8 +8,8 @@ import numpy as np
 
 from stewart_drake.base.config import Period
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Record, TickResult, Vec1, Vec2, Vec6, Vec12, Vec18, record
-from stewart_drake.control.base import AT_REFERENCE, ControllerOptions, controller_part
+from stewart_drake.base.records import Record, TickResult, Vec1, Vec6, Vec12, Vec18, record
+from stewart_drake.control.base import AT_REFERENCE, ControllerOptions, ControllerState, controller_part
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics_laws import motion_torque, static_torque
 from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, UNREACHABLE, Legs, Robot, legs_at
@@ -32,7 +32,7 @@ class FeedforwardOptions(ControllerOptions):
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         level = {"none": 0.0, "gravity": 1.0, "full": 2.0}[self.feedforward]
         params = FeedforwardParams.new(gravity=context.gravity, level=level)
-        return (controller_part(feedforward_tick, context.robot, params, FeedforwardState, Legs),)
+        return (controller_part(feedforward_tick, context.robot, params, ControllerState, Legs),)
 
 
 def lead_part(period: float) -> Part:
@@ -79,16 +79,9 @@ class FeedforwardParams(Record):
     level: float  # 0 for no torque, 1 for the static one, 2 for inverse dynamics.
 
 
-class FeedforwardState(Record):
-    """State of the feedforward."""
-
-    torque: Vec6  # [N m]
-    health: Vec2  # See `loop.part.HEALTHY`.
-
-
 @njit
 def feedforward_tick(
-    robot: Robot, params: FeedforwardParams, _: Vec12, reference: Vec18, legs: Legs, state: FeedforwardState
+    robot: Robot, params: FeedforwardParams, _: Vec12, reference: Vec18, legs: Legs, state: ControllerState
 ) -> TickResult:
     """Torque (6,) [N m] of a reference (18,): inverse dynamics, or at rest; result as of `pid_tick`."""
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)

@@ -16,7 +16,6 @@ from stewart_drake.base.records import (
     Mat6x18,
     Record,
     TickResult,
-    Vec2,
     Vec4,
     Vec6,
     Vec12,
@@ -29,6 +28,7 @@ from stewart_drake.control.base import (
     REFERENCE,
     STATUSES,
     ControllerOptions,
+    ControllerState,
     Saturation,
     controller_part,
     limit_and_integrate,
@@ -108,12 +108,10 @@ class LqiOptions(ControllerOptions):
         return (lqi_part(self, context.robot, context.gravity, len(context.tuner.weights), solver),)
 
 
-class LqiState(Record):
+class LqiState(ControllerState):
     """State of the LQI."""
 
-    torque: Vec6  # [N m]
     integral: Vec6  # [rad s, m s] z for the next tick.
-    health: Vec2  # See `loop.part.HEALTHY`.
     gain: Mat6x18  # K
     feedforward: Vec6  # [N m] part of the torque.
     weights: Vec4  # q_e, q_v, q_z, r of this tick; zeros before the first.
@@ -183,18 +181,8 @@ def lqi_tick(
 
     Deviation: u = -K e as in (34), not (30). The integral changes after it has been used, see `limit_and_integrate`.
 
-    Args:
-        robot: The controller's model.
-        params: Options.
-        measurement: (12,) pose and rate now.
-        reference: (18,) now.
-        weights: (2,) omega_Q, omega_R, or (4,) q_e, q_v, q_z, r.
-        legs: Overwritten.
-        problem: Overwritten.
-        state: Of the tick before; of this one where the status is OK.
-
-    Returns:
-        Status of `base.STATUSES`, or NO_WEIGHTS; leg or -1; margin.
+    `weights` are omega_Q, omega_R or q_e, q_v, q_z, r; `legs` and `problem` are overwritten. Returns one of
+    `base.STATUSES` or NO_WEIGHTS, leg or -1, margin.
     """
     status, leg, margin = pose_problem(robot, params, measurement, reference, weights, legs, problem, state)
     if status == laws.OK and not _solve_split(record(params), record(problem), record(state)):

@@ -36,12 +36,9 @@ PerMotor = Annotated[np.ndarray, (6, N_MOTOR)]
 
 @njit
 def add_row(motor_rows: Matrix, shared_rows: Matrix, row: Vector) -> None:
-    """Adds a measurement to the factor of its motor by Givens rotations.
+    """Adds a whitened measurement (3 + m + 1,), which is destroyed, to the factor of its motor by Givens rotations.
 
-    Args:
-        motor_rows: (3, 3 + m + 1) of the motor: its unknowns, m shared ones, right-hand side.
-        shared_rows: (m, m + 1).
-        row: (3 + m + 1,) whitened measurement; destroyed.
+    Columns are the unknowns of the motor, the m shared ones and the right-hand side.
     """
     size = N_MOTOR + len(shared_rows)
     for k in range(size):

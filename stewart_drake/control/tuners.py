@@ -73,7 +73,6 @@ class Tuner(Section, ABC, key="tuner"):
 class PairTuner(Tuner):
     """Base of tuners of omega_Q and omega_R."""
 
-    kind: str
     omega_q: Positive = 1.0
     """Weight omega_Q of (27); for a network, its value before the first inference."""
     omega_r: Positive = 1.0
@@ -98,7 +97,6 @@ class BlockWeights(Tuner):
     that the loop is as fast. With a command delay above 5 ms the loop is slower in proportion.
     """
 
-    kind: str
     q_pose: Annotated[Positive, POSE_WEIGHT] = 4.0e5
     """Weight of the pose error."""
     q_rate: Annotated[Positive, RATE_WEIGHT] = 30.0
@@ -155,7 +153,6 @@ class SettingTuner(BlockWeights):
     """
 
     needs_observer: ClassVar[bool] = True
-    kind: str
 
     @abstractmethod
     def source(self) -> SettingSource:

@@ -13,8 +13,8 @@ from stewart_drake.base.code import ControllerError, UserCode
 from stewart_drake.base.config import Period
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, drake_guard, one_line, raised_at
 from stewart_drake.base.families import UserMade, user_parts
-from stewart_drake.base.records import Record, Vec1, Vec2, Vec6, Vec12, Vec18
-from stewart_drake.control.base import ControllerOptions, Measurement, Setpoint
+from stewart_drake.base.records import Vec1, Vec12, Vec18
+from stewart_drake.control.base import ControllerOptions, ControllerState, Measurement, Setpoint
 from stewart_drake.loop.part import LoopContext, Part
 
 _EXPECTED = "a LeafSystem of pydrake, or what is called as torque = f(measurement, setpoint, time)"
@@ -75,14 +75,7 @@ class PythonOptions(UserMade, ControllerOptions):
                 if port is None or port.get_data_type() != PortDataType.kVectorValued or port.size() != size:
                     expected = f"a LeafSystem with the {side.lower()} port {name} ({size},)"
                     raise ConfigurationError(self.code_key, self.code, expected)
-        return Part("controller", _nothing, {}, inputs, tuple(outputs), ControlTorque.new(), system=system)
-
-
-class ControlTorque(Record):
-    """State of a user's controller."""
-
-    torque: Vec6  # [N m]
-    health: Vec2  # See `loop.part.HEALTHY`.
+        return Part("controller", _nothing, {}, inputs, tuple(outputs), ControllerState.new(), system=system)
 
 
 def _nothing(*_: object) -> None:
@@ -123,7 +116,7 @@ def function_part(function: ControlFunction) -> Part:
     """
     guard = UserCode(getattr(function, "__module__", None) or type(function).__module__)
     constants, inputs = {"function": function, "guard": guard}, {"measurement": 12, "reference": 18, "time": 1}
-    return Part("controller", _call, constants, inputs, ("torque",), ControlTorque.new())
+    return Part("controller", _call, constants, inputs, ("torque",), ControllerState.new())
 
 
 def _call(
@@ -132,7 +125,7 @@ def _call(
     measurement: Vec12,
     reference: Vec18,
     time: Vec1,
-    state: ControlTorque,
+    state: ControllerState,
 ) -> None:
     # Copies, which the function may keep or change.
     pose, target = measurement.copy(), reference.copy()

@@ -1,4 +1,4 @@
-"""The core of calibration and identification: parameters, which of them data determine, how well, reports, readings."""
+"""Common parts of calibration and identification: parameters, identifiability, estimates, reports, readings."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from stewart_drake.base.yaml_files import to_yaml
 from stewart_drake.robot import RobotParameters
 
 NORMAL_95 = 1.959964
-_ROUNDING = 1e-9  # [-] of the largest singular value below which a direction is that of rounding
-_SHARE = 0.02  # [-] of its scale by which a parameter must change to be named in an unidentifiable direction
-_NAMED = 6  # parameters that a sentence names at most
+_ROUNDING = 1e-9  # [-] of the largest singular value below which a direction is rounding.
+_SHARE = 0.02  # [-] of its scale by which a parameter must change to be named in an unidentifiable direction.
+_NAMED = 6  # Parameters in a sentence at most.
 
 
 class Parameter(NamedTuple):
-    """One number; its kind is the name for `hold`."""
+    """A parameter to estimate; `kind` is its name for `hold`."""
 
     kind: str
     part: str
@@ -38,7 +38,7 @@ class Parameter(NamedTuple):
 
     @property
     def display(self) -> tuple[str, float]:
-        """The unit in texts, and how many of it are one of SI."""
+        """Unit in texts, and factor to it from SI."""
         return (f"m{self.unit}", 1e3) if self.unit in ("m", "rad") else (self.unit, 1.0)
 
 
@@ -56,7 +56,7 @@ def free_directions(
 ) -> np.ndarray:
     """Orthonormal directions (n, k), in scales, along which n parameters may change.
 
-    Fixed are those of the kinds `hold`, some of `kinds`, and `known`, and all directions (n,) of `constraints`.
+    Parameters of the kinds `hold` and `known` are fixed, and so are the directions (n,) in `constraints`.
     """
     check_choices("hold", hold, kinds)
     if set(kinds) <= set(hold):
@@ -68,23 +68,23 @@ def free_directions(
 
 
 class Unidentifiable(NamedTuple):
-    """A parameter that keeps its value, its deviation [-] in scales, and the change (n,) with it that data miss."""
+    """A parameter that the data do not determine; it keeps its value."""
 
-    at: int
-    deviation: float
-    direction: np.ndarray
+    at: int  # Place of the parameter.
+    deviation: float  # [-] standard deviation in scales; infinite for undetermined.
+    direction: np.ndarray  # (n,) change of all parameters that the data do not show, per unit of this one.
 
 
 def identifiable(
     slope: np.ndarray, free: np.ndarray, scales: np.ndarray, largest: float, preference: np.ndarray | float = 1.0
 ) -> tuple[np.ndarray, tuple[Unidentifiable, ...]]:
-    """Which free directions (n, k) whitened errors with slopes (m, k) determine, and the parameters to fix for that.
+    """Free directions (n, k) that whitened errors with slopes (m, k) determine, and the parameters to fix for that.
 
-    A direction counts as determined up to a standard deviation of `largest`. Parameters are fixed one after the other,
-    those with a large preference first, until only base parameters are left: M. Gautier, "Numerical calculation of the
+    A direction is determined up to a standard deviation of `largest`. Parameters are fixed one by one, those with a
+    large preference first, until only base parameters are left: M. Gautier, "Numerical calculation of the
     base inertial parameters of robots" (J. Robotic Systems 8, 1991).
     """
-    # No direction of fewer rows than directions gets lost.
+    # Padded with zeros: else directions would be lost where there are fewer rows.
     root = np.linalg.qr(np.pad(slope, ((0, max(0, slope.shape[1] - len(slope))), (0, 0))), mode="r")
     fixed: list[Unidentifiable] = []
     ways = np.eye(free.shape[1])
@@ -92,13 +92,13 @@ def identifiable(
         _, sigma, directions = np.linalg.svd(root @ ways)
         if len(directions) == 0 or sigma[-1] * largest >= 1.0:
             free = free @ ways
-            free[[each.at for each in fixed]] = 0.0  # exactly
+            free[[parameter.at for parameter in fixed]] = 0.0  # exactly
             return free, tuple(fixed)
         direction = free @ (ways @ directions[-1])
         at = int((np.abs(direction) * preference).argmax())
         deviation = np.inf if sigma[-1] <= _ROUNDING * sigma[0] else 1.0 / float(sigma[-1])
         fixed.append(Unidentifiable(at, deviation, direction / direction[at] * scales / scales[at]))
-        ways = null_space(free[[each.at for each in fixed]])
+        ways = null_space(free[[parameter.at for parameter in fixed]])
 
 
 def whitening(covariance: np.ndarray) -> np.ndarray:
@@ -111,8 +111,8 @@ class Estimate:
     """Estimated values of n parameters, and how well they are known.
 
     Attributes:
-        parameters: What the values are.
-        scales: (n,) change of each that counts as 1.
+        parameters: Names of the values.
+        scales: (n,) change of a parameter that counts as 1.
         values: (n,) in SI units.
         directions: (n, k) along which they were estimated.
         covariance: (k, k) along these.
@@ -137,14 +137,14 @@ class Estimate:
         return self.quantile * np.sqrt(np.maximum(variance, 0.0))
 
     def identifiable_part(self, change: np.ndarray) -> np.ndarray:
-        """What the data notice of a change (n,): the change that leaves the unidentifiable parameters alone."""
-        for each in self.unidentifiable:
-            change = change - change[each.at] * each.direction
+        """The change with the same effect on the data as a change (n,), without unidentifiable parameters."""
+        for parameter in self.unidentifiable:
+            change = change - change[parameter.at] * parameter.direction
         return change
 
     def unidentifiable_sentences(self) -> tuple[str, ...]:
-        """What the data do not determine: how uncertain each such parameter is, and what changes with it."""
-        return tuple(self._sentence(each) for each in self.unidentifiable)
+        """Sentences on the parameters that the data do not determine: how uncertain, and what changes with them."""
+        return tuple(self._sentence(parameter) for parameter in self.unidentifiable)
 
     def _sentence(self, of: Unidentifiable) -> str:
         parameter, sizes = self.parameters[of.at], np.abs(of.direction) * self.scales[of.at] / self.scales
@@ -162,7 +162,7 @@ class Estimate:
 
 
 class Result(ABC):
-    """Base of estimated robots that can be shown, and written as tables, as a page and as a robot's file."""
+    """Base of results: an estimated robot that is shown, and written as tables, a page and a robot file."""
 
     columns: ClassVar[tuple[str, ...]]
     """Of `rows`."""
@@ -220,18 +220,18 @@ def robot_yaml(about: str, comments: Sequence[str], robot: RobotParameters) -> s
 
 
 class Readings:
-    """Base of frozen dataclasses that hold the rows of a table as arrays, and a `source` for messages."""
+    """Base of frozen dataclasses with the columns of a table as arrays, and a `source` for messages."""
 
     quantities: ClassVar[tuple[tuple[str, str], ...]]
     """Columns of the table with their units."""
     columns: ClassVar[dict[str, slice | int]]
-    """Which of them each array holds."""
+    """Array -> its columns."""
     largest: ClassVar[tuple[int, int]]
     """Bytes and rows of a file."""
     source: str
 
     def check(self) -> None:
-        """Copies the arrays and makes them read-only; refuses shapes and cells that cannot be."""
+        """Copies the arrays and makes them read-only; refuses wrong shapes and numbers that are not finite."""
         count = np.shape(getattr(self, next(iter(self.columns))))[:1]
         for name, column in self.columns.items():
             values = np.array(getattr(self, name), dtype=float)

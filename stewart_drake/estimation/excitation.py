@@ -1,4 +1,4 @@
-"""A motion that determines the parameters: a finite Fourier series within the limits, of least condition number.
+"""Excitation for identification: a finite Fourier series within the limits, of least condition number.
 
 J. Swevers et al., "Optimal robot excitation and identification" (IEEE Trans. Robotics and Automation 13, 1997).
 """
@@ -21,23 +21,22 @@ from stewart_drake.scenario.limits import ReferenceLimits, limit_margins
 
 HARMONICS = (2, 3, 5, 8, 13, 21, 31)
 PERIOD = 19.937
-"""[s] of the whole motion: sines of 0.1 to 1.55 Hz, and coarse encoders err anew in each period."""
+"""[s] of the motion: sines of 0.1 to 1.55 Hz; in every period coarse encoders have other errors."""
 ROOM, SERVO_ROOM = 1.15, 1.5
-"""[-] by which the motion could be larger within the limits: the robot is not quite the guess, and servos swing on."""
+"""[-] by which the motion could be larger within the limits: the robot differs from the guess, servos overshoot."""
 _SAMPLES = 240
 _BEGINNINGS, _CHANGES = 20, 400
-MOTIONS = _BEGINNINGS + _CHANGES
-"""That are tried."""
+MOTIONS = _BEGINNINGS + _CHANGES  # That are tried.
 _FADE = 2.0
 _ROUNDING = 1e-9  # [-] of the largest singular value
 
 
 class Excitation(NamedTuple):
-    """A motion begun from rest, its condition number [-] in the parameters' scales, and that of random ones."""
+    """A motion from rest that excites the parameters."""
 
     reference: AdjustedReference
-    condition: float
-    random_condition: float
+    condition: float  # [-] condition number in the parameters' scales.
+    random_condition: float  # [-] the same of random motions.
 
 
 def excite(
@@ -94,21 +93,26 @@ def excite(
         progress(beginning + 1.0)
     if not motions:
         raise ConfigurationError("limits", "no motion within them", "limits that leave room about home")
-    random_condition = float(np.median([each[0] for each in motions]))
-    best, waves = min(motions, key=lambda each: each[0])
+    random_condition = float(np.median([number for number, _ in motions]))
+    best, waves = min(motions, key=lambda motion: motion[0])
     spread = 0.3
     for change in range(changes):
-        other = waves * (1.0 + spread * rng.standard_normal(waves.shape))
-        other += spread * rng.standard_normal(waves.shape) * np.abs(waves).mean(axis=(0, 1))
-        other *= np.exp(0.3 * spread * rng.standard_normal())
+        other = _changed(waves, spread, rng)
         better = feasible(other, 1.0) and (now := condition(other)) < best
         if better:
             best, waves = now, other
-        # One success in five keeps the steps as they are.
+        # With one success in five the steps keep their size.
         spread = float(np.clip(spread * (1.5 if better else 0.9), 0.01, 1.0))
         progress(_BEGINNINGS + change + 1.0)
     faded = AdjustedReference(motion=_reference(robot, waves), fade_in=_FADE)
     return Excitation(faded, best, random_condition)
+
+
+def _changed(waves: np.ndarray, spread: float, rng: np.random.Generator) -> np.ndarray:
+    """Amplitudes changed at random by about a share `spread`, together and one by one."""
+    other = waves * (1.0 + spread * rng.standard_normal(waves.shape))
+    other += spread * rng.standard_normal(waves.shape) * np.abs(waves).mean(axis=(0, 1))
+    return np.asarray(other * np.exp(0.3 * spread * rng.standard_normal()))
 
 
 def _reference(robot: RobotParameters, waves: np.ndarray) -> SumReference:

@@ -38,12 +38,12 @@ class InconsistentError(StewartDrakeError): ...
 
 
 class Prediction(NamedTuple):
-    """Errors of predicted torques over their RMS [-], the first two where no crank sticks."""
+    """Errors of predicted torques over the RMS of the torques [-]."""
 
     source: str
-    guess: float
-    identified: float
-    everywhere: float
+    guess: float  # By the guess, where no crank sticks.
+    identified: float  # By the result, where no crank sticks.
+    everywhere: float  # By the result, in all rows.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -54,7 +54,7 @@ class Identification(Result):
         guess: The robot that the identification started from.
         values: (32,) estimated parameters, physically consistent.
         estimate: (32,) result of the least squares before that.
-        held: Kinds that kept the guess's value.
+        held: Kinds of parameters that kept the guess's value.
         samples: The samples that it used.
         logs: Number of recordings.
         predictions: Of the recordings that were fitted, then of those for validation.
@@ -96,12 +96,12 @@ class Identification(Result):
 
     @property
     def coulomb(self) -> np.ndarray:
-        """(6,) [N m] dry friction of each motor."""
+        """(6,) [N m] dry friction of the motors."""
         return self.values[COULOMB].copy()
 
     @property
     def viscous(self) -> np.ndarray:
-        """(6,) [N m s/rad] viscous friction of each motor."""
+        """(6,) [N m s/rad] viscous friction of the motors."""
         return self.values[VISCOUS].copy()
 
     @property
@@ -140,11 +140,11 @@ class Identification(Result):
         friction = (" ".join(f"{value:.3g}" for value in values) for values in (self.coulomb, self.viscous))
         errors = [
             (
-                f"torque error (RMS), {'fitted' if at < self.logs else 'not used'}: {each.source}",
-                f"{100 * each.guess:.3g} % -> {100 * each.identified:.3g} % where no crank sticks, "
-                f"{100 * each.everywhere:.3g} % everywhere",
+                f"torque error (RMS), {'fitted' if at < self.logs else 'not used'}: {log.source}",
+                f"{100 * log.guess:.3g} % -> {100 * log.identified:.3g} % where no crank sticks, "
+                f"{100 * log.everywhere:.3g} % everywhere",
             )
-            for at, each in enumerate(self.predictions)
+            for at, log in enumerate(self.predictions)
         ]
         return [
             ("samples, parameters estimated", f"{len(self.samples.time)}, {len(self.estimate.covariance)}"),
@@ -177,8 +177,8 @@ class Identification(Result):
 
     def robot_file(self) -> str:
         within = [
-            f"{'its torques' if at < self.logs else 'torques of a log not used'} within {100 * each.identified:.2g} %"
-            for at, each in enumerate(self.predictions)
+            f"{'its torques' if at < self.logs else 'torques of a log not used'} within {100 * log.identified:.2g} %"
+            for at, log in enumerate(self.predictions)
         ]
         about = f"identified from {self.logs} {'log' if self.logs == 1 else 'logs'}: {'; '.join(within)}"
         comments = ["Friction, for `plant.friction` of a scenario:", *self.friction_file().splitlines()]
@@ -263,9 +263,9 @@ def least_squares(
             # Rows closer than half a period of the filter repeat each other.
             slope /= np.sqrt(samples.repeats)
             free, unidentifiable = core.identifiable(slope, free, size, LARGEST_DEVIATION, _FIX_FIRST)
-            for each in unidentifiable:
-                if (parameter := PARAMETERS[each.at]).kind in set(ask) - set(hold):
-                    got = f"a motion that leaves an uncertainty of {each.deviation:.3g} times its size"
+            for kept in unidentifiable:
+                if (parameter := PARAMETERS[kept.at]).kind in set(ask) - set(hold):
+                    got = f"a motion that leaves an uncertainty of {kept.deviation:.3g} times its size"
                     allowed = "a motion that determines it; `excite` designs one"
                     raise ConfigurationError(f"{samples.source}: {parameter}", got, allowed)
             values = start if unidentifiable else values
@@ -357,7 +357,7 @@ def is_consistent(guess: RobotParameters, values: np.ndarray) -> bool:
 
 
 def consistent(guess: RobotParameters, estimate: Estimate) -> np.ndarray:
-    """Parameters (`SIZE`,) that bodies can have, nearest to an estimate in its own information: a semidefinite program.
+    """Parameters (`SIZE`,) that bodies can have, nearest to an estimate by its information: a semidefinite program.
 
     P. M. Wensing, S. Kim, J.-J. E. Slotine, "Linear matrix inequalities for physically consistent inertial parameter
     identification" (IEEE RA-L 3, 2018). Rods, cranks and rotors have no negative mass, and no friction drives.
@@ -369,22 +369,22 @@ def consistent(guess: RobotParameters, estimate: Estimate) -> np.ndarray:
 
     with drake_guard("the semidefinite program"):
         program = MathematicalProgram()
-        # In these directions the information is a multiple of 1, and the longest is a parameter's own size.
+        # In these directions the information is a multiple of 1; the longest is the size of a parameter.
         ways = estimate.directions @ core.whitening(estimate.information).T
         ways = ways / np.abs(ways / torques.scales(guess)[:, None]).max()
         along = program.NewContinuousVariables(ways.shape[1], "along")
         program.AddQuadraticCost(2.0 * np.eye(len(along)), np.zeros(len(along)), along)
-        constant, *slopes = (pseudo_inertia(guess, each) / guess.platform_mass for each in (values, *ways.T))
+        constant, *slopes = (pseudo_inertia(guess, row) / guess.platform_mass for row in (values, *ways.T))
         program.AddLinearMatrixInequalityConstraint([constant - LEAST * np.eye(4), *slopes], along)
         size = np.abs(ways).max(axis=1)
-        # Size 0 has what keeps the guess's value, which is that of a body.
+        # Parameters that keep the guess's value have size 0, and their values are those of bodies.
         bounded = (size > 0.0) & np.isfinite(bounds)
         least = (bounds - values)[bounded] / size[bounded]
         for row, bound in zip((ways[bounded] / size[bounded, None]), least, strict=True):
             program.AddLinearConstraint(row, bound, np.inf, along)
         result = ClarabelSolver().Solve(program)
         nearest = values + ways @ result.GetSolution(along)
-    # The solver keeps bounds to its own tolerance.
+    # The solver keeps bounds within a tolerance.
     nearest[bounded] = np.maximum(nearest, bounds)[bounded]
     if not result.is_success() or not is_consistent(guess, nearest):
         raise InconsistentError(f"no bodies near the estimate: {result.get_solution_result()}")

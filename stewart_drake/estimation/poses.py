@@ -1,4 +1,4 @@
-"""Poses that a tracker measured, with the encoders' readings at each; and which poses are most informative."""
+"""Poses measured by a tracker, with encoder readings; and the most informative poses to measure."""
 
 from __future__ import annotations
 
@@ -22,15 +22,14 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.limits import ReferenceLimits
 
-_FARTHEST = 1e6  # [m] beyond which no tracker is
+_FARTHEST = 1e6  # [m] largest coordinate.
 QUANTITIES = (*POSE, *CRANK_ANGLES)
-COLUMNS = tuple(column_name(*each) for each in QUANTITIES)
+COLUMNS = tuple(column_name(*quantity) for quantity in QUANTITIES)
 CANDIDATES = 1500
-MARGIN = 0.85  # [-] of each limit that a pose may take up: the robot is not quite the guess
+MARGIN = 0.85  # [-] of a limit that a pose may use: the robot differs from the guess.
 AMPLIFICATION = 1.3
-"""[-] most by which parameters act on a pose more than at home: near a parallel singularity a robot that is not quite
-the guess cannot be assembled. A hundred robots off by 1 mm and 1 mrad could be at each of 60 planned poses.
-"""
+"""[-] largest effect of the parameters on a pose, over that at home: near a parallel singularity a robot that differs
+from the guess cannot be assembled. A hundred robots off by 1 mm and 1 mrad reached all of 60 planned poses."""
 _WAY = np.linspace(0.0, 2.0, 41)
 _PASSES, _DRAWS = 20, 20
 _GAIN = 1e-6
@@ -40,11 +39,11 @@ class MeasurementNoise(Section, key="noise"):
     """Standard deviations of the measurements; independent, and the same in all directions."""
 
     position: Annotated[Positive, Field(le=1.0)] = 2e-5
-    """[m] of each coordinate of a measured position."""
+    """[m] of the coordinates of a measured position."""
     rotation: Annotated[Positive, Field(le=1.0)] = 1e-4
-    """[rad] of a measured orientation about each axis."""
+    """[rad] of a measured orientation, about any axis."""
     encoder: Annotated[Positive, Field(le=1.0)] = 2.0 * math.pi / 2**17 / math.sqrt(12.0)
-    """[rad] of an encoder reading. An encoder limited by its resolution has a step over the root of 12: here 17
+    """[rad] of an encoder reading. For an encoder limited by its resolution a step over the root of 12: here 17
     bits."""
 
 
@@ -88,15 +87,15 @@ def load_measurements(path: str | Path) -> Measurements:
 
 @dataclass(frozen=True, eq=False)
 class PosePlan:
-    """Poses to measure, half widths (78,) [m, rad] of 95 % intervals to expect, of random poses too; `gain` [-]."""
+    """Poses to measure, and what to expect of them."""
 
     targets: Measurements
-    half_width: np.ndarray
-    random_half_width: np.ndarray
-    gain: float
+    half_width: np.ndarray  # (78,) [m, rad] expected of the 95 % intervals.
+    random_half_width: np.ndarray  # The same of random poses.
+    gain: float  # [-] ratio of standard deviations, in the geometric mean, of random poses to these.
 
     def table(self) -> tuple[list[str], list[list[str]]]:
-        """Header and rows: the largest interval of any leg to expect of these poses, and at random, in mm and mrad."""
+        """Header and rows: the largest expected interval of the legs, for these poses and random ones, in mm, mrad."""
         both = (
             geometry.by_leg(widths, display=True).max(axis=0) for widths in (self.half_width, self.random_half_width)
         )
@@ -116,14 +115,14 @@ def plan_poses(
 ) -> PosePlan:
     """Most informative poses to calibrate a robot: D-optimal, by Fedorov's exchange.
 
-    V. V. Fedorov, Theory of Optimal Experiments (1972). Begun with the pose that adds most, one after the other; then
-    each is taken out and the best of all put in its place, until none is better. What is known before the first pose
-    is that no direction is off by more than a tenth of the robot's size.
+    V. V. Fedorov, Theory of Optimal Experiments (1972). Starts from a greedy choice, one pose after the other; then
+    every pose is exchanged for the best of all, until none is better. By the prior no direction is off by more than a
+    tenth of the robot's size.
 
     Args:
         robot: The guess.
         count: How many poses.
-        limits: What poses keep to, on the straight way from home too, with `MARGIN`.
+        limits: Limits on the poses and on the straight way from home, with `MARGIN`.
         noise: Of tracker and encoders.
         known_frames: As for `calibrate`.
         hold: As for `calibrate`.
@@ -145,9 +144,9 @@ def plan_poses(
     slope = model.tracker_slope(np.zeros(geometry.SIZE), at, angles)
     rows = model.whitening(np.zeros(geometry.SIZE), at, angles, noise) @ slope @ ways
     chosen = _exchange(rows, count)
-    covariances = [_covariance(rows[each]) for each in (chosen, *rng.choice(len(pose), (20, count)))]
-    widths = [1.96 * np.linalg.norm(ways @ np.linalg.cholesky(each), axis=1) for each in covariances]
-    volume = [np.linalg.slogdet(each)[1] / (2.0 * free.shape[1]) for each in covariances]
+    covariances = [_covariance(rows[choice]) for choice in (chosen, *rng.choice(len(pose), (20, count)))]
+    widths = [1.96 * np.linalg.norm(ways @ np.linalg.cholesky(matrix), axis=1) for matrix in covariances]
+    volume = [np.linalg.slogdet(matrix)[1] / (2.0 * free.shape[1]) for matrix in covariances]
     return PosePlan(
         Measurements(pose[chosen], angles[chosen], "planned poses"),
         widths[0],
@@ -169,7 +168,7 @@ def candidate_poses(
         if not last.any():
             got = f"a limit {LIMIT_NAMES[limit[0]]} that is broken on every line from home"
             raise ConfigurationError("limits", got, f"limits of which the home pose uses at most {MARGIN:g}")
-        # Nearer to the end than to home, where poses are more informative; the step before the last holds the limits.
+        # Nearer to the end than to home: there poses are more informative. The last step is within the limits.
         share = rng.uniform(0.0, 1.0, count) ** (1.0 / 3.0)
         pose = (home + (last * share)[:, None] * way)[last > 0.0]
         calm = _amplification(robot, pose) <= AMPLIFICATION * _amplification(robot, home[None])
@@ -218,6 +217,6 @@ def _exchange(rows: np.ndarray, count: int) -> np.ndarray:
 
 
 def _covariance(rows: np.ndarray) -> np.ndarray:
-    """Covariance (k, k) of the directions, from what is known before and from rows (n, 6, k)."""
+    """Covariance (k, k) of the directions, by the prior and rows (n, 6, k)."""
     flat = rows.reshape(-1, rows.shape[2])
     return np.linalg.inv(flat.T @ flat + np.eye(flat.shape[1]) / geometry.LARGEST_DEVIATION**2)

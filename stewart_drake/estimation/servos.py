@@ -56,7 +56,7 @@ QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"commanded_angle_{leg}", "rad") 
 _LONGEST, _STEP = 0.2, 0.005  # [s] delays that are tried first.
 _AT_FIRST, _UNEXPLAINED, _FEW = 0.5, 0.2, 0.01
 """[-] unexplained changes of command less angle that are allowed, before the law and after it; [s] size of a delay."""
-_LEAST = 0.05  # [-] of the rows in which each crank must turn.
+_LEAST = 0.05  # [-] of the rows in which a crank must turn.
 _LAW: Any = {"forgetting": 1e5, "center_of_mass": False}
 _KERNEL = 0.032  # [s] least standard deviation of the law's kernel: twelve bits are rough.
 _FAST, _SHARE = 0.2, 0.2
@@ -66,7 +66,7 @@ _PASSES, _CORRECTIONS, _PIECES = 5, 2, 10
 _STUDENT = 2.262  # 95 % of Student's distribution of that many pieces.
 _UNKNOWN = 0.6  # [-] half width of an interval, over a parameter's size, beyond which it counts as not determined.
 _FINEST = 1e-6  # [rad] of an encoder's steps.
-_SERVO_STEP = 0.001  # [s] of the simulation, and of the servos' own loop there.
+_SERVO_STEP = 0.001  # [s] of the simulation, and of the servos' loop there.
 _WIDTH = 0.004  # [rad/s] of a reversal in the model's friction, as for motors on the market.
 
 
@@ -102,6 +102,7 @@ class ServoRecording(CrankReadings):
                 raise ConfigurationError(f"{self.source}: {what}_{still.argmax()}", "the same in all rows", _MOTION)
 
 
+AnyLog = ServoRecording | SimulationLog | str | Path
 _BALL_JOINTS = (
     "friction of the rods' ball joints is not identified here; let `drive` learn it: --set "
     '"adaptation={kind: regression, ball_joints: true, noise: 0.06, slowest: 0.05}" --keep-model head.yaml'
@@ -191,10 +192,10 @@ class ServoIdentification(Result):
 
 def identify_servos(
     robot: RobotParameters,
-    logs: Sequence[ServoRecording | SimulationLog | str | Path],
+    logs: Sequence[AnyLog],
     hold: Collection[str] = (),
     ask: Collection[str] = ASKED,
-    validate: Sequence[ServoRecording | SimulationLog | str | Path] = (),
+    validate: Sequence[AnyLog] = (),
     reading_age: float = 0.0,
 ) -> ServoIdentification:
     """Stiffness, damping, friction and delay of servos that take angles, and the head's mass, without any torque.
@@ -211,8 +212,8 @@ def identify_servos(
         reading_age: [s] of an angle in its row.
 
     Raises:
-        ConfigurationError: Nothing to read, an unknown kind; a log that is too short, without commands, whose motors
-            do not turn, or whose angles are not those of its commands.
+        ConfigurationError: Nothing to read, an unknown kind; a log that is too short, without commands, with motors
+            that do not turn, or with angles that do not follow the commands.
     """
     core.check_choices("hold", hold, HELD)
     core.check_choices("ask", ask, KINDS)
@@ -220,11 +221,7 @@ def identify_servos(
         raise ConfigurationError("logs", "none", "at least one log")
     if not 0.0 <= reading_age <= 1.0:
         raise ConfigurationError("reading_age", reading_age, "a number of seconds from 0 to 1")
-
-    def read(log: ServoRecording | SimulationLog | str | Path) -> ServoRecording:
-        return log if isinstance(log, ServoRecording) else load_servo_recording(log)
-
-    recordings, unseen = [read(log) for log in logs], [read(log) for log in validate]
+    recordings, unseen = ([load_servo_recording(log) for log in some] for some in (logs, validate))
     first, source = recordings[0], ", ".join(recording.source for recording in recordings)
     for recording in recordings:
         if abs(recording.rate / first.rate - 1.0) > 0.01:
@@ -248,7 +245,7 @@ def identify_servos(
         raise ConfigurationError(source, str(failure).splitlines()[0], allowed) from failure
     width = _half_widths(regression, rows, estimate)
     _refuse_other(source, max(map(_rms, errors[: len(recordings)])) / changes, _UNEXPLAINED)
-    _refuse_unknown(source, values, width, {*ask} - {*hold})
+    _refuse_undetermined(source, values, width, {*ask} - {*hold})
     at = np.searchsorted(first.time, samples.time)
     samples = replace(samples, measured=first.angles[at], source=source)
     sizes = tuple((log.source, _rms(error)) for log, error in zip((*recordings, *unseen), errors, strict=True))
@@ -263,7 +260,7 @@ def _half_widths(regression: _Regression, rows: np.ndarray, estimate: np.ndarray
     return width
 
 
-def _refuse_unknown(source: str, values: np.ndarray, width: np.ndarray, kinds: Collection[str]) -> None:
+def _refuse_undetermined(source: str, values: np.ndarray, width: np.ndarray, kinds: Collection[str]) -> None:
     """Refuses logs that leave parameters of these kinds undetermined."""
     stiffness = values[STIFFNESS].mean()
     sizes = np.repeat(stiffness * np.array([1.0, 0.1, 0.03]), LEG_COUNT).tolist() + [_FEW, values[MASS], np.inf]
@@ -325,7 +322,7 @@ def motors_of(values: np.ndarray) -> tuple[dict[str, Any], dict[str, Any]]:
 def _stacked(recordings: Sequence[ServoRecording]) -> np.ndarray:
     """Rows (n, 12) of recordings, with gaps between them."""
     gap = np.full((1, 12), np.nan)
-    return np.vstack([part for each in recordings for part in (np.hstack([each.angles, each.commands]), gap)])
+    return np.vstack([part for log in recordings for part in (np.hstack([log.angles, log.commands]), gap)])
 
 
 def replay(guess: RobotParameters, recording: ServoRecording, values: np.ndarray, age: float) -> ServoRecording:
@@ -378,14 +375,16 @@ def feasible(values: np.ndarray) -> np.ndarray:
     return np.maximum(values, least)
 
 
-def load_servo_recording(log: SimulationLog | str | Path) -> ServoRecording:
+def load_servo_recording(log: AnyLog) -> ServoRecording:
     """A recording from a log of this package whose motors take angles, or from a CSV file with `QUANTITIES`."""
+    if isinstance(log, ServoRecording):
+        return log
     if not isinstance(log, SimulationLog):
         if Path(log).suffix.lower() == ".csv":
             return ServoRecording.of_file(log, f"recording {log}")
         log = load_log(log)
     source = f"log of {log.scenario.name}"
-    if (motors := log.scenario.motors).takes != "angle":
+    if (motors := log.scenario.motors).command_quantity != "angle":
         raise ConfigurationError(source, f"motors.kind {motors.kind}", "a log of motors that take angles")
     rows, angles = torques.readings_of_log(log, source)
     return ServoRecording(log.time[rows], angles, log["commanded_angle"][rows], log.scenario.gravity, source)
@@ -395,7 +394,7 @@ def take_angles(logs: Iterable[str | Path]) -> bool:
     """Whether the first of some logs is one of motors that take angles."""
     log = Path(next(iter(logs)))
     if log.suffix.lower() != ".csv":
-        return load_log(log).scenario.motors.takes == "angle"
+        return load_log(log).scenario.motors.command_quantity == "angle"
     names = ""
     # A file that cannot be read is refused when it is loaded.
     with contextlib.suppress(OSError, ValueError), log.open(encoding="utf-8-sig") as stream:

@@ -43,7 +43,7 @@ PARAMETERS = (
     *(Parameter("viscous", motor, "N m s/rad") for motor in _MOTORS),
     *(Parameter("torque_constant", motor, "") for motor in _MOTORS),
 )
-"""Moments are in P, inertias about its origin; a crank's own inertia stays: only the sum with the rotor's acts."""
+"""Moments are in P, inertias about its origin. The inertia of a crank is kept: only the sum with the rotor's acts."""
 KINDS = tuple(dict.fromkeys(parameter.kind for parameter in PARAMETERS))
 SIZE = len(PARAMETERS)
 BODIES, COULOMB, VISCOUS, GAIN = slice(0, 14), slice(14, 20), slice(20, 26), slice(26, 32)
@@ -62,7 +62,7 @@ _HOMOTOPY = 4
 
 
 def values_of(robot: RobotParameters) -> np.ndarray:
-    """Parameters (`SIZE`,) of a robot without friction whose log has its true torques."""
+    """Parameters (`SIZE`,) of a robot without friction, with true torques in its log."""
     inertia = robot.platform_inertia_about_origin
     platform = [robot.platform_mass, *robot.platform_moment, *(inertia[at] for at in ENTRIES)]
     links = [robot.rod_mass, robot.rod_inertia[0], robot.crank_mass, robot.rotor_inertia]
@@ -224,12 +224,12 @@ def load_recording(path: str | Path, lag: float = 0.0) -> Recording:
 def recording_of_log(log: SimulationLog, source: str = "log") -> Recording:
     """Readings of encoders and amplifiers in a run."""
     motors = log.scenario.motors
-    if motors.takes != "torque":
+    if motors.command_quantity != "torque":
         allowed = f"a log of motors that take torque: those of kind {motors.kind} change theirs between two rows; "
         allowed += "of motors that take angles `identify_servos`"
         raise ConfigurationError(source, f"motors.kind {motors.kind}", allowed)
     rows, angles = readings_of_log(log, source)
-    # A torque acts until the next tick. The plant's own steps put an acceleration half a step ahead of its torque.
+    # A torque acts until the next tick. In the plant's steps an acceleration is half a step ahead of its torque.
     lag = 0.5 * (log.scenario.controller.period - log.scenario.plant.time_step)
     return Recording(log.time[rows], angles, log["torque_applied"][rows], lag, log.scenario.gravity, source)
 
@@ -325,12 +325,12 @@ def samples_of_motion(
     gravity: float,
     source: str = "motion",
 ) -> Samples:
-    """Equations of a motion known exactly, without torques: inverse dynamics once for each parameter of the bodies."""
+    """Equations of an exact motion, without torques: inverse dynamics once for every parameter of the bodies."""
     pose, rate, _ = motion
     bodies = np.vstack([np.zeros(14), np.eye(14)])
     known, *torques = (inverse_dynamics(_body_record(guess, row), *motion, gravity) for row in bodies)
     speed = crank_rates(guess, leg_geometry(guess, pose), pose, rate)
-    friction = (each[..., None] * np.eye(LEG_COUNT) for each in (np.sign(speed), speed))
+    friction = (signal[..., None] * np.eye(LEG_COUNT) for signal in (np.sign(speed), speed))
     columns = np.concatenate([np.stack(torques, axis=-1) - known[..., None], *friction], axis=-1)
     used, step, pieces = np.abs(speed) > SLOW, float(time[1] - time[0]), (slice(0, len(time)),)
     return Samples(time, np.zeros_like(known), columns, known, speed, used, pieces, step, 1.0, source)

@@ -169,7 +169,7 @@ class MotorOptions(Section, ABC, key="motors"):
     """Base of the options of motors: all that the loop asks of any kind."""
 
     own_keys = frozenset({"resolution"})
-    takes: ClassVar[str] = "torque"
+    command_quantity: ClassVar[str] = "torque"
     """Quantity of a command."""
     unit: ClassVar[str] = "N m"
     """Of a command."""

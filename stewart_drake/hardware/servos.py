@@ -91,7 +91,7 @@ class PositionServos(_CommercialMotors):
     damping 0.037 to 0.048 N m s/rad.
     """
 
-    takes: ClassVar[str] = "angle"
+    command_quantity: ClassVar[str] = "angle"
     unit: ClassVar[str] = "rad"
     holds: ClassVar[bool] = True
     knobs = (("stiffness", "servo stiffness"),)
@@ -197,7 +197,7 @@ class CurrentMotors(_CommercialMotors):
     Friction of the gear belongs to the plant, `plant.friction`; a preset sets that too.
     """
 
-    takes: ClassVar[str] = "current"
+    command_quantity: ClassVar[str] = "current"
     unit: ClassVar[str] = "A"
     presets: ClassVar[Presets] = CURRENT_PRESETS
 

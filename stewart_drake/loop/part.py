@@ -47,7 +47,7 @@ class Part(NamedTuple):
         kernel: See above.
         constants: Name -> constant value; any object for a kernel in plain Python.
         inputs: Port -> size; the kernel gets arrays (size,). The port `time` (1,) [s] is always available.
-        outputs: Fields of the state that are signals; they are its first fields, in this order.
+        outputs: Fields of the state that are signals.
         initial: State before the first tick.
         scratch: Records that the kernel overwrites.
         statuses: Status other than 0 -> its error, which may refer to parameters, constants, inputs and `state`.

@@ -167,7 +167,7 @@ def _address(url: str, default_port: int | None) -> tuple[str, int]:
 def check_takes(scenario: Scenario, takes: str, who: str) -> None:
     """Raises a ConfigurationError if the motors of the controller's model take another quantity."""
     motors = scenario.controller_model.motors
-    if motors.takes != takes:
+    if motors.command_quantity != takes:
         raise ConfigurationError("model.motors", motors.kind, f"motors that take {takes}, as {who} does")
 
 

@@ -54,7 +54,7 @@ class PacketMachine(ABC, Generic[_Line]):
     def __init__(self, scenario: Scenario, name: str) -> None:
         self._scenario, self.name = scenario, name
         self._limits = wire.rounded_inside(machine.command_limits(scenario))
-        self.takes: Takes = scenario.controller_model.motors.takes  # type: ignore[assignment]
+        self.takes: Takes = scenario.controller_model.motors.command_quantity  # type: ignore[assignment]
         self.dropped: Counter[str] = Counter()
         self._line: _Line | None = None
         self._reset()

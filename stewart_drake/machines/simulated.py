@@ -229,7 +229,7 @@ def main() -> None:
     child = arguments.scenario == "-"
     scenario = pickle.load(sys.stdin.buffer) if child else load_driven(arguments.scenario)
     hold_after = min(wire.HOLD_AFTER, HOLD_TICKS * scenario.reading_period)
-    side = RobotSide(scenario.motors.takes, command_limits(scenario), hold_after)
+    side = RobotSide(scenario.motors.command_quantity, command_limits(scenario), hold_after)
 
     def end_with_parent() -> None:
         sys.stdin.buffer.read()

@@ -41,7 +41,7 @@ class UserMachine:
         if missing := [name for name in METHODS if not callable(getattr(self._object, name, None))]:
             raise ConfigurationError("machine", code, f"a class with {', '.join(METHODS)}; {missing[0]} is missing")
         self.name, self._guard, self._limits = str(code), UserCode(code.own_module), machine.command_limits(scenario)
-        self.takes: Takes = getattr(self._object, "takes", None) or scenario.controller_model.motors.takes  # type: ignore[assignment]
+        self.takes: Takes = getattr(self._object, "takes", None) or scenario.controller_model.motors.command_quantity  # type: ignore[assignment]
         machine.check_takes(scenario, self.takes, self.name)
         self._last: Reading | None = None
         self._arrived, self.after = 0.0, "its disconnect was called"

@@ -45,7 +45,6 @@ class Bristles(Record):
     slip: Vec6  # [rad/s] speed of the anchor in the step before.
 
 
-FRICTION = Friction.layout
 STIFFNESS_NUMBER = 1000.0
 """k h^2 / I of a bristle, for a crank's inertia I and a step h. An implicit bristle is stable for any value: a load of
 inertia I' swings on it and decays by (1 + (k + d / h) h^2 / I')^-1/2 a step or faster. The bound is SAP's, which

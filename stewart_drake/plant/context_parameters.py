@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,20 @@ _COUNTS = ("ahead", "age", "half")
 """Fields that count rows of a part's memory; another number would let a compiled law write outside of it."""
 
 
+def _counts(kind: np.dtype, path: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Paths of the fields in `_COUNTS`, in nested records too."""
+    for name in kind.names or ():
+        if name in _COUNTS:
+            yield (*path, name)
+        yield from _counts(kind[name].base, (*path, name))
+
+
+def _field(record: Any, path: tuple[str, ...]) -> np.ndarray:
+    for name in path:
+        record = record[name]
+    return np.asarray(record)
+
+
 class WithParameters:
     """Base of a LeafSystem whose numeric parameters are records and arrays of float64."""
 
@@ -27,12 +41,8 @@ class WithParameters:
         """
         kind = np.dtype([(name, value.dtype, value.shape) for name, value in values.items()])
         self._parameters_read = np.zeros((), kind)
-        self._counts = [
-            (name, count, value[count].copy())
-            for name, value in values.items()
-            for count in _COUNTS
-            if count in (value.dtype.names or ())
-        ]
+        read, first = self._parameters_read, values
+        self._counts = [(".".join(path), _field(read, path), _field(first, path).copy()) for path in _counts(kind)]
         start = [np.ascontiguousarray(value).view(np.float64).ravel() for value in values.values()]
         self._parameter_index = self.DeclareNumericParameter(vector(np.concatenate(start))) if start else None
         self._parameters_flat = np.ndarray(kind.itemsize // 8, np.float64, self._parameters_read)
@@ -55,8 +65,6 @@ class WithParameters:
             vector = context.get_numeric_parameter(self._parameter_index)
             is_plain = isinstance(vector, BasicVector)
             self._parameters_flat[:] = vector.value() if is_plain else ExtractValue(vector.CopyToVector()).ravel()
-            for name, count, as_built in self._counts:
-                if (value := self._parameters_read[name][count]) != as_built:
-                    raise ConfigurationError(
-                        f"{name}.{count}", value[0], f"{as_built[0]:g}, which its part is built for"
-                    )
+            for path, value, as_built in self._counts:
+                if value != as_built:
+                    raise ConfigurationError(path, value[0], f"{as_built[0]:g}, which its part is built for")

@@ -41,7 +41,7 @@ class Legs(NamedTuple):
     rod_lengths: np.ndarray  # (6,) [m]
 
 
-def connect_ends(model: Any, data: Any, equality: int) -> list[tuple[int, np.ndarray]]:
+def connect_ends(model: mujoco.MjModel, data: mujoco.MjData, equality: int) -> list[tuple[int, np.ndarray]]:
     """The two points that a `connect` joins: body, and position in the world (3,) [m]."""
     ids = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
     if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
@@ -53,11 +53,11 @@ def connect_ends(model: Any, data: Any, equality: int) -> list[tuple[int, np.nda
     return [(body, _in_world(data, body, place)) for body, place in zip(ids, places, strict=True)]
 
 
-def _in_world(data: Any, body: int, place: np.ndarray) -> np.ndarray:
+def _in_world(data: mujoco.MjData, body: int, place: np.ndarray) -> np.ndarray:
     return np.asarray(data.xpos[body] + data.xmat[body].reshape(3, 3) @ place)
 
 
-def rigid_roots(model: Any) -> np.ndarray:
+def rigid_roots(model: mujoco.MjModel) -> np.ndarray:
     """(nbody,) topmost body to which a body is rigidly fixed; 0 for the world."""
     roots = np.arange(model.nbody)
     for body in range(1, model.nbody):
@@ -66,7 +66,7 @@ def rigid_roots(model: Any) -> np.ndarray:
     return roots
 
 
-def find_legs(model: Any, motors: Collection[int]) -> Legs | int:
+def find_legs(model: mujoco.MjModel, motors: Collection[int]) -> Legs | int:
     """The six legs driven by motors (joints); else the number of legs of the best platform."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -106,7 +106,7 @@ def find_legs(model: Any, motors: Collection[int]) -> Legs | int:
     return Legs(joints, list(cranks), list(rods), platform, equalities, *points)
 
 
-def _passive(model: Any, data: Any, driven: Collection[int]) -> Iterator[tuple[int | None, Any]]:
+def _passive(model: mujoco.MjModel, data: mujoco.MjData, driven: Collection[int]) -> Iterator[tuple[int | None, Any]]:
     """Passive joints: the equality, or None in the tree; both ends, body and position (3,) [m]."""
     # As numbers: MuJoCo's enums compare unequal to numpy's integers.
     turning = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_HINGE)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.config import check_value
@@ -25,6 +26,8 @@ from stewart_drake.robot.leg import JOINT_SWING, LARGEST_SIZE, LEG_COUNT
 if TYPE_CHECKING:
     from jinja2 import Environment
 
+Pose = tuple[ArrayLike, ArrayLike]
+"""Position (3,) [m] and roll, pitch, yaw (3,) [rad]."""
 _HOUSING_RADIUS = 3.6  # Of a motor, in multiples of the link radius: decoration.
 
 
@@ -107,7 +110,7 @@ def sdf_text(
     check_value("rod_joint", rod_joint, RodJoint)
     frames, radius = home_frames(robot), robot.link_radius
 
-    def sides(z: float, place: Callable[..., Any] = lambda at, turn: (at, turn)) -> list[Any]:
+    def sides(z: float, place: Callable[..., Pose] = lambda at, turn: (at, turn)) -> list[Pose]:
         """Poses of the six boxes of a disc."""
         return [place((0.0, 0.0, z), (0.0, 0.0, side * math.pi / 6.0)) for side in range(6)]
 
@@ -140,10 +143,12 @@ def sdf_text(
     )
 
 
-def on_platform(robot: RobotParameters, at: Any, turn: Any = (0.0, 0.0, 0.0)) -> tuple[Any, Any]:
+def on_platform(
+    robot: RobotParameters, at: ArrayLike, turn: ArrayLike = (0.0, 0.0, 0.0)
+) -> tuple[np.ndarray, np.ndarray]:
     """Position (3,) [m] and roll, pitch, yaw (3,) [rad] given in P, in the frame of poses, which may be the tool's."""
     if robot.tool is None:
-        return at, turn
+        return np.asarray(at), np.asarray(turn)
     back = robot.tool_rotation.T
     return back @ (np.array(at) - robot.tool_position), roll_pitch_yaw(back @ rotation_matrix(np.array(turn)))
 
@@ -199,7 +204,7 @@ def _upright(robot: RobotParameters, leg: int) -> bool:
     return bool((robot.crank_quarter_directions[leg] == (0.0, 0.0, 1.0)).all())
 
 
-def _housing(robot: RobotParameters, frames: HomeFrames, leg: int) -> dict[str, Any]:
+def _housing(robot: RobotParameters, frames: HomeFrames, leg: int) -> dict[str, object]:
     """A motor's housing on its axis: centre (3,) [m], length [m], turn of z; those of a pair are back to back."""
     r, axis, shaft = robot.link_radius, frames.crank_rotation[leg, :, 1], robot.shaft_positions[leg]
     partner = robot.shaft_positions[leg ^ 1] - shaft
@@ -217,7 +222,7 @@ def _housing(robot: RobotParameters, frames: HomeFrames, leg: int) -> dict[str, 
     return {"centre": shaft + side * (gap - 0.5 * length) * axis, "length": length, "turn": turn}
 
 
-def render(template: str, **values: Any) -> str:
+def render(template: str, **values: object) -> str:
     """Renders a template of the folder `templates`, in which `exact` and `short` write numbers."""
     return _environment().get_template(template).render(values)
 
@@ -240,12 +245,12 @@ def _environment() -> Environment:
     return environment
 
 
-def _exact(*parts: Any) -> str:
+def _exact(*parts: ArrayLike) -> str:
     """Shortest text that reads back as the same doubles; numbers below 1e-15 are written as zero."""
     values = np.concatenate([np.ravel(np.asarray(part, dtype=float)) for part in parts]).tolist()
     return " ".join(repr(0.0 if abs(value) < 1e-15 else value) for value in values)
 
 
-def _short(*parts: Any) -> str:
+def _short(*parts: ArrayLike) -> str:
     """Numbers of shapes, with seven digits."""
     return _exact([float(f"{value:.7g}") for part in parts for value in np.ravel(part)])

@@ -12,24 +12,26 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
 from stewart_drake.base.atomic_files import check_file
 from stewart_drake.base.config import Text, choices_text
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, installed_with, pose_text
-from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat3, Record, Vec3, Vec6, Vector, record
-from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_rate_to_twist, rotation_matrix
-from stewart_drake.mechanics.linear_algebra import all_finite
 from stewart_drake.plant.model_files import home_frames, mjcf_text
+from stewart_drake.plant.mujoco_laws import ModelFrames, apply_forces, measure
 from stewart_drake.plant.plant_options import MechanismOptions, foreign_state
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import Moderate
 from stewart_drake.robot.robot_files import robot_model
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from stewart_drake.plant.mjcf_legs import Fit
 
 _MAX_BYTES = 10_000_000
 _CLOSED, _NOT_CLOSED, _ITERATIONS = 1e-12, 1e-9, 100
@@ -196,12 +198,12 @@ class _File:
         for element in [element for group in groups for element in group]:
             self.spec.delete(element)
 
-    def _actuators(self, model: Any, joint: int) -> list[int]:
+    def _actuators(self, model: mujoco.MjModel, joint: int) -> list[int]:
         on_joint = int(self.mujoco.mjtTrn.mjTRN_JOINT), int(self.mujoco.mjtTrn.mjTRN_JOINTINPARENT)
         found = (model.actuator_trnid[:, 0] == joint) & np.isin(model.actuator_trntype, on_joint)
         return np.flatnonzero(found).tolist()
 
-    def _force_range(self, model: Any, joint: int) -> tuple[float, float]:
+    def _force_range(self, model: mujoco.MjModel, joint: int) -> tuple[float, float]:
         """Lowest and highest torque [N m] of the model's actuators of a joint."""
         low, high = model.jnt_actfrcrange[joint] if model.jnt_actfrclimited[joint] else (-np.inf, np.inf)
         for actuator in self._actuators(model, joint):
@@ -220,8 +222,8 @@ class _File:
                 setattr(joint, key, getattr(default.joint, key))
         self.limits[:] = default.actuator.forcerange if np.any(default.actuator.forcerange) else (-np.inf, np.inf)
 
-    def fit(self, robot: RobotParameters) -> Any:
-        """Match of its legs and frames to the robot's, a `mjcf_legs.Fit`."""
+    def fit(self, robot: RobotParameters) -> Fit:
+        """Match of its legs and frames to the robot's."""
         fit, most = self.mjcf_legs.fit_frames(robot, self.legs), self.mjcf_legs.ALLOWED
         if not fit.residual <= most:
             allowed = f"a model of `robot` within {1e3 * most:g} mm, not {1e3 * fit.residual:.4g} mm ({fit.worst})"
@@ -236,17 +238,6 @@ class _File:
         except (ValueError, OSError) as error:
             message = " ".join(str(error).split())
             raise ConfigurationError(_KEY, self.name, f"an MJCF that MuJoCo reads ({message})") from None
-
-
-class ModelFrames(Record):
-    """Frames and motors of the model."""
-
-    base: Mat3  # R_WB
-    origin: Vec3  # [m] of B in the world.
-    signs: Vec6  # Of the motors' joints.
-    angles: Vec6  # [rad] theta of the cranks where their joints are zero.
-    low: Vec6  # [N m] lowest torques of the motors.
-    high: Vec6  # [N m] highest.
 
 
 class MujocoPlant:
@@ -283,7 +274,7 @@ class MujocoPlant:
 
     def _add_platform(
         self, file: _File, frame: tuple[np.ndarray, np.ndarray], options: MujocoOptions
-    ) -> tuple[Any, Any]:
+    ) -> tuple[mujoco.MjsSite, mujoco.MjsBody]:
         """Adds site P to a model, and the payload to its body; returns both."""
         data, quaternion, (rotation, place) = self._mujoco.MjData(file.model), np.empty(4), frame
         self._mujoco.mj_kinematics(file.model, data)
@@ -365,7 +356,7 @@ class MujocoPlant:
     def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         """A step; NotFiniteError if the simulation has diverged."""
         mujoco, model, data = self._mujoco, self._model, self._data
-        _apply(self._frames, torque, wrench, self._rates, *self._pushed)
+        apply_forces(self._frames, torque, wrench, self._rates, *self._pushed)
         # As `mj_step`, without the checks that write a file and reset.
         mujoco.mj_fwdActuation(model, data)
         mujoco.mj_fwdAcceleration(model, data)
@@ -373,7 +364,7 @@ class MujocoPlant:
         self._integrate(model, data)
         return self._measure()
 
-    def _runge_kutta(self, model: Any, data: Any) -> None:
+    def _runge_kutta(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._mujoco.mj_RungeKutta(model, data, 4)
 
     def _measure(self) -> np.ndarray:
@@ -381,7 +372,7 @@ class MujocoPlant:
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, self._site, self._motion, 0)
-        if not _measurement(self._frames, *self._moving, self._measured):
+        if not measure(self._frames, *self._moving, self._measured):
             raise NotFiniteError("MuJoCo's state", self._measured[:6])
         return self._measured
 
@@ -397,66 +388,3 @@ class MujocoPlant:
             raise foreign_state(state, f"a model of MuJoCo with {size} numbers")
         self._mujoco.mj_setState(self._model, self._data, state, kind)
         return self._measure()
-
-
-@njit
-def _apply(
-    frames: ModelFrames,
-    torque: Vec6,
-    wrench: Vec6,
-    joints: Vector,
-    position: Vec3,
-    centre: Vec3,
-    joint_torque: Vector,
-    body_force: Vec6,
-) -> None:
-    """Sets MuJoCo's forces: torques of the motors, and a wrench about P, moved to its body's centre of mass.
-
-    `joints` are the motors' places in `joint_torque`; positions are in the world.
-    """
-    frames = record(frames)
-    for i in range(6):
-        joint_torque[joints[i]] = frames.signs[i] * min(max(torque[i], frames.low[i]), frames.high[i])
-    arm, moment = np.empty(3), np.empty(3)
-    for i in range(3):
-        body_force[i] = laws.dot(frames.base[i], wrench[3:])
-        body_force[3 + i] = laws.dot(frames.base[i], wrench[:3])
-        arm[i] = position[i] - centre[i]
-    laws.cross(arm, body_force[:3], moment)
-    for i in range(3):
-        body_force[3 + i] += moment[i]
-
-
-@njit
-def _measurement(
-    frames: ModelFrames,
-    position: Vec3,
-    axes: Vector,
-    velocity: Vec6,
-    joints: Vector,
-    angles: Vector,
-    rate_joints: Vector,
-    rates: Vector,
-    out: Vector,
-) -> bool:
-    """Measurement (24,) of a `Plant` from P's position, axes (9,) and velocities in the world, and the joints' motion.
-
-    `joints` and `rate_joints` are the motors' places in `angles` and `rates`. False if it is not finite.
-    """
-    frames = record(frames)
-    rotation, twist = np.empty((3, 3)), np.empty(6)
-    for i in range(3):
-        out[3 + i], twist[i], twist[3 + i] = 0.0, 0.0, 0.0
-        for k in range(3):
-            rotation[i, k] = 0.0
-            for m in range(3):
-                rotation[i, k] += frames.base[m, i] * axes[3 * m + k]
-            out[3 + i] += frames.base[k, i] * (position[k] - frames.origin[k])
-            twist[i] += frames.base[k, i] * velocity[k]
-            twist[3 + i] += frames.base[k, i] * velocity[3 + k]
-    laws.roll_pitch_yaw(rotation, out[:3])
-    laws.rate_of(out[:6], twist, out[6:12])
-    for i in range(6):
-        out[12 + i] = frames.angles[i] + frames.signs[i] * angles[joints[i]]
-        out[18 + i] = frames.signs[i] * rates[rate_joints[i]]
-    return all_finite(out)

@@ -30,6 +30,7 @@ from pydrake.multibody.tree import (
     Joint,
     LinearBushingRollPitchYaw,
     ModelInstanceIndex,
+    MultibodyConstraintId,
     QuaternionFloatingJoint,
     SpatialInertia,
     UnitInertia,
@@ -378,7 +379,7 @@ def build_plant(
         return builder.Build(), stewart
 
 
-def _break(plant: MultibodyPlant, closure: Any, time: float) -> None:
+def _break(plant: MultibodyPlant, closure: MultibodyConstraintId, time: float) -> None:
     """Disconnects a rod from the platform at a time [s], in every Context that reaches it or begins later."""
     # An event that refers to the plant would keep it alive.
     reference: Any = weakref.ref(plant)

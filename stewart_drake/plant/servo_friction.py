@@ -7,11 +7,11 @@ an external force and subtracted from the servo's torque before the limit, so th
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from pydrake.multibody.tree import PdControllerGains
-from pydrake.systems.framework import Context, DiagramBuilder, InputPort, LeafSystem, OutputPort, System
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, InputPort, LeafSystem, OutputPort, System
 from pydrake.systems.primitives import Adder, LinearSystem, MatrixGain, Multiplexer
 
 from stewart_drake.base.jit import njit
@@ -54,7 +54,7 @@ class MotorFriction(LeafSystem, WithParameters):
         needs = {self.all_input_ports_ticket(), self.all_parameters_ticket()}
         self.pull = self.DeclareVectorOutputPort("pull", 3 * LEG_COUNT, self._calc, prerequisites_of_calc=needs)
 
-    def _calc(self, context: Context, output: Any) -> None:
+    def _calc(self, context: Context, output: BasicVector) -> None:
         state, before = self.plant_state.Eval(context), self.bristles.Eval(context)
         self.read_parameters(context)
         _servo_inputs(self._friction, before, state, self.cranks, self._step, output.get_mutable_value())

@@ -252,10 +252,10 @@ class AdjustedReference(Section, key="reference"):
 AnyReference = Annotated[Reference, REFERENCES]
 
 
-def center_of(reference: Any) -> np.ndarray:
+def center_of(reference: Reference) -> np.ndarray:
     """The pose (6,) [rad, m] about which a motion is scaled: its `center`, its motion's, or its first pose."""
-    if getattr(reference, "center", None) is not None:
-        return np.array(reference.center)
+    if (center := getattr(reference, "center", None)) is not None:
+        return np.array(center)
     if isinstance(reference, (SumReference, AdjustedReference)):
         return center_of(reference.parts[0] if isinstance(reference, SumReference) else reference.motion)
     return reference.evaluate(0.0)[0]

@@ -134,7 +134,7 @@ class UserReference(UserMade, key="reference"):
 class _PoseFunction:
     """A motion by a function from time [s] to pose (6,), with central differences, at times from 0."""
 
-    def __init__(self, section: UserReference, pose: Callable[[float], Any]) -> None:
+    def __init__(self, section: UserReference, pose: Callable[[float], object]) -> None:
         self._section, self._pose = section, pose
 
     def evaluate(self, time: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stewart_drake.base.atomic_files import read_checked
 from stewart_drake.base.config import check_value
@@ -128,7 +129,7 @@ class FromTable(NamedTuple):
     warning: str  # A likely mistake; empty if none.
 
 
-def from_table(table: Any, unit: Unit, cranks: Cranks, parameters: Mapping[str, Any]) -> FromTable:
+def from_table(table: str | Path | ArrayLike, unit: Unit, cranks: Cranks, parameters: Mapping[str, Any]) -> FromTable:
     """Parameters of a robot from a table of its legs.
 
     Columns of a CSV file, by name, in any order: shaft_x to shaft_z (in B) and joint_x to joint_z (in P), in place of x

@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Callable
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -164,7 +165,7 @@ class RobotParameters(Section, key="robot"):
 
     @classmethod
     def from_table(
-        cls, table: Any, *, unit: Unit = "m", cranks: Cranks = "outwards", **parameters: Any
+        cls, table: str | Path | ArrayLike, *, unit: Unit = "m", cranks: Cranks = "outwards", **parameters: Any
     ) -> RobotParameters:
         """A robot from measured positions, a row per leg; for missing parameters see `geometry.from_table`.
 

@@ -175,17 +175,10 @@ def observe(
     legs: Legs,
     observed: Observed,
 ) -> None:
-    """Measures and margins of a finite measurement.
+    """Measures and margins of a finite measurement, beside the pose of the reference.
 
-    Args:
-        robot: The controller's model.
-        params: Limits.
-        pose: [rad, m] measured.
-        rate: [rad/s, m/s] measured.
-        reference: [rad, m]
-        assembly_sign: Sign of the rods' determinant at the start; 0 if that is now.
-        legs: Overwritten, by those of the extrapolated pose.
-        observed: Out.
+    `assembly_sign` is the sign of the rods' determinant at the start, 0 if that is now. `legs` become those of the
+    extrapolated pose.
     """
     wanted, margin, twist, ahead, turn = np.empty((3, 3)), observed.margin, np.empty(6), np.empty(6), np.empty((3, 3))
     for k in range(6):

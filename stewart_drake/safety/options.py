@@ -17,45 +17,14 @@ from stewart_drake.robot.robot_scale import LENGTH, TORQUE
 from stewart_drake.safety.stillness import FROZEN_AFTER, TRAVEL_SHARE
 
 MONITORS = (
-    "none",
-    "measurement_not_finite",
-    "sensor_failed",
-    "controller_failed",
-    "command_not_finite",
-    "deadline",
-    "workspace",
-    "serial_singularity",
-    "parallel_singularity",
-    "crank_speed",
-    "following_error",
-    "torque_limit",
-    "torque_rate",
-    "innovation",
-    "reading_stuck",
-    "unexplained_torque",
-    "not_moving",
+    *("none", "measurement_not_finite", "sensor_failed", "controller_failed", "command_not_finite", "deadline"),
+    *("workspace", "serial_singularity", "parallel_singularity", "crank_speed", "following_error", "torque_limit"),
+    *("torque_rate", "innovation", "reading_stuck", "unexplained_torque", "not_moving"),
 )
 """Stable names of the monitors, by their number in the log: new ones come last. `innovation` is in old logs alone."""
-(
-    NO_TRIP,
-    MEASUREMENT,
-    SENSOR,
-    CONTROLLER,
-    COMMAND,
-    DEADLINE,
-    WORKSPACE,
-    SERIAL,
-    PARALLEL,
-    CRANK_SPEED,
-    FOLLOWING,
-    TORQUE_LIMIT,
-    TORQUE_RATE,
-    INNOVATION,
-    READING,
-    UNEXPLAINED,
-    NOT_MOVING,
-) = range(len(MONITORS))
-"""Their numbers."""
+NO_TRIP, MEASUREMENT, SENSOR, CONTROLLER, COMMAND, DEADLINE, WORKSPACE, SERIAL, PARALLEL, CRANK_SPEED = range(10)
+FOLLOWING, TORQUE_LIMIT, TORQUE_RATE, INNOVATION, READING, UNEXPLAINED, NOT_MOVING = range(10, len(MONITORS))
+"""Numbers of the monitors."""
 MEANINGS = {
     "reading_stuck": "a sensor repeats itself, or no crank moves at all",
     "not_moving": "a crank stands, or its reading does, while its reference moves",

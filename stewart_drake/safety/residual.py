@@ -101,19 +101,9 @@ def update_residual(
     """One tick: updates residual and observers with readings and with the torques sent in the tick before.
 
     Both are evaluated in the middle of a window: rates and accelerations are differences of poses, and torques have the
-    weights that accelerations have in a second difference. The residual is zero while readings are missing.
-
-    Args:
-        robot: The controller's model.
-        friction: Friction of the motors in the model.
-        unknown: Largest errors of its Coulomb and viscous friction.
-        params: Parameters.
-        angles: [rad] read; NaN without encoders.
-        pose: [rad, m] read, where there are no encoders.
-        torque: [N m] sent.
-        is_first: True in the first tick.
-        state: Changed in place.
-        legs: Overwritten.
+    weights that accelerations have in a second difference. The residual is zero while readings are missing. `unknown`
+    has the largest errors of Coulomb and viscous friction in `friction`. Angles [rad] are NaN without encoders; the
+    pose [rad, m] is used only then.
     """
     half, h = int(params.half), params.period
     _store(robot, half, angles, pose, torque, state)
@@ -248,16 +238,10 @@ def two_largest(values: Vec6) -> tuple[int, int, float, float]:
 
 @njit
 def apply_dry_friction(coulomb: Vec6, period: float, mobility: Mat6, speed: Vec6, impulse: Vec6) -> None:
-    """Slows speeds (6,) [rad/s] by dry friction over a tick, in place; none turns a crank back.
+    """Slows speeds [rad/s] by dry friction [N m] over a tick, in place; friction turns no crank back.
 
-    Projected Gauss-Seidel; J. J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, 1988.
-
-    Args:
-        coulomb: [N m] largest dry friction.
-        period: [s]
-        mobility: [1/(kg m^2)]
-        speed: Changed in place.
-        impulse: [N m s] of friction; first those of the tick before.
+    `impulse` [N m s] is that of friction, and first that of the tick before. Projected Gauss-Seidel; J. J. Moreau,
+    Unilateral contact and dry friction in finite freedom dynamics, 1988.
     """
     for i in range(6):
         for k in range(6):

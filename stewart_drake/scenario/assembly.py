@@ -24,7 +24,7 @@ from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.motors import delay_part
 from stewart_drake.loop.part import NOTHING, LoopContext, Part
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
-from stewart_drake.safety import safety_part
+from stewart_drake.safety import SafetyOptions, safety_part
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
 
@@ -157,7 +157,7 @@ def command_path(
         command = "safe_torque"
     elif scenario.controller.code is not None or scenario.link.faults:
         # Motors would cut an infinite torque to one that looks valid. The package's controllers never give one.
-        finite = _FINITE._replace(constants={"what": scenario.motors.takes}, period=step)
+        finite = _FINITE._replace(constants={"what": scenario.motors.command_quantity}, period=step)
         parts.append(finite.connected(command=command))
         command = "checked"
     motors = scenario.motors.part(scenario.robot, step)
@@ -206,32 +206,21 @@ def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
 def wire(options: ControlOptions, context: LoopContext, reading: str = "reading") -> ControlSide:
     """Parts of the controller's side in the order of signals within a tick, then those of its end.
 
-    A variable called like a signal holds the signal's name, or an array where no part gives that signal.
+    It is one function so that the names of signals are its variables: a variable called like a signal holds the
+    signal's name, or an array where no part gives that signal.
     """
     robot, motors, safety, adaptation = context.robot, context.motors, options.safety, options.adaptation
     logged: dict[str, Signal] = {"reference": "reference"}
     if reading != "plant_pose":
         logged["reading" if context.reading == 6 else "pose_reading"] = reading
 
-    def tolerant(part: Part, health: str) -> Part:
-        """A part that reports failed ticks to the safety layer, where there is one."""
-        if safety is None or part.system is not None:
-            return part
-        return part._replace(outputs=(*part.outputs, "health"), fault_tolerant=True).named(health=health)
-
-    # Reference: as it is now, and as an observer that looks ahead needs it.
-    def motion(times: np.ndarray) -> np.ndarray:
-        return np.concatenate(options.reference.evaluate(times), axis=-1)
-
-    sources, reference = [Source("reference", 18, motion)], "reference"
-    if (preview := options.preview) > 0.0:
-        sources.append(Source("reference_ahead", 18, lambda times: motion(times + preview)))
-        reference = "reference_ahead"
+    sources = _references(options)
+    reference = sources[-1].signal
 
     # Estimator: from a reading to pose and rate, now and when a command will act.
     period = options.estimator.period
     estimator = [
-        tolerant(part._replace(period=period).connected(reading=reading), "sensor_health")
+        _reporting(part._replace(period=period).connected(reading=reading), "sensor_health", safety)
         for part in options.estimator.parts(context.ticking(period))
     ]
     measurement = "measurement" if estimator else reading
@@ -285,11 +274,13 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
     inverse = [part.connected(**law_inputs) for part in motors.inverse_parts(context)]
     if inverse and safety is not None:
         # The layer is behind the link, and its limits are torques.
-        allowed = f"motors that take torque [N m], with a safety layer; these take {motors.takes} [{motors.unit}]"
+        allowed = (
+            f"motors that take torque [N m], with a safety layer; these take {motors.command_quantity} [{motors.unit}]"
+        )
         raise ConfigurationError("motors.kind", motors.kind, allowed)
     command = "command" if inverse else "torque"
     if inverse:
-        logged[f"commanded_{motors.takes}"] = command
+        logged[f"commanded_{motors.command_quantity}"] = command
 
     # Densities and tuner, for a controller with weights; the tuner may set the disturbance that an observer expects.
     density = []
@@ -303,7 +294,8 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
             if "disturbance" in part.outputs:
                 estimator = [made.connected(disturbance=part.signal("disturbance")) for made in estimator]
 
-    parts = [*estimator, *lead, tracking_error, tolerant(law, "controller_health"), *additions, *inverse, *density]
+    law = _reporting(law, "controller_health", safety)
+    parts = [*estimator, *lead, tracking_error, law, *additions, *inverse, *density]
 
     # Safety layer: its input is the command that arrives at the motors.
     layer = []
@@ -321,14 +313,32 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
         at = law_inputs | {"reading": reading, "command": command}
         laws = [part.connected(**at)._replace(end_of_tick=True) for part in adaptation.parts(context)]
         end += laws
-        learnt = {output: part.signal(output) for part in laws for output in part.outputs}
-        logged |= {name: learnt[name] for name in LEARNT_SIGNALS if name in learnt}
+        outputs = {output: part.signal(output) for part in laws for output in part.outputs}
+        logged |= {name: outputs[name] for name in LEARNT_SIGNALS if name in outputs}
         written = _written([*parts, *layer], adaptation, laws)
         parts, layer = written[: len(parts)], written[len(parts) :]
 
     initial, last = motors.initial_command(context), layer[0] if layer else None
-    ends = tuple(parts), tuple(end), tuple(sources), reading, "torque", command, motors.unit, initial, last
+    ends = tuple(parts), tuple(end), sources, reading, "torque", command, motors.unit, initial, last
     return ControlSide(context, *ends, logged)
+
+
+def _references(options: ControlOptions) -> tuple[Source, ...]:
+    """The reference as it is now and, where the controller looks ahead, as it is when its command acts."""
+
+    def motion(times: np.ndarray) -> np.ndarray:
+        return np.concatenate(options.reference.evaluate(times), axis=-1)
+
+    now, preview = Source("reference", 18, motion), options.preview
+    ahead = Source("reference_ahead", 18, lambda times: motion(times + preview))
+    return (now, ahead) if preview > 0.0 else (now,)
+
+
+def _reporting(part: Part, health: str, safety: SafetyOptions | None) -> Part:
+    """A part that reports failed ticks to the safety layer, where there is one."""
+    if safety is None or part.system is not None:
+        return part
+    return part._replace(outputs=(*part.outputs, "health"), fault_tolerant=True).named(health=health)
 
 
 def _written(parts: Sequence[Part], options: AdaptationOptions, laws: Sequence[Part]) -> list[Part]:

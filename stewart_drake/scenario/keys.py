@@ -53,7 +53,7 @@ def unit_at(section: Any, key: str) -> str:
 
 
 def _refuse_part(key: str, here: Any, part: str | int, inside: str) -> None:
-    """Raises a `ConfigurationError` where what a key goes into is no section, or no list that is long enough."""
+    """Raises a `ConfigurationError` where a key goes into no section, or no list that is long enough."""
     if isinstance(part, str) and not isinstance(here, dict):
         hint = "; `mismatch: true` fills it" if key.startswith("model.robot.") and here is None else ""
         raise ConfigurationError(key, here, f"a section with this key, which {inside} is not{hint}")
@@ -90,7 +90,7 @@ def _assign(section: type[Section], data: dict[str, Any], key: str, value: Any, 
         found = _type_at(inner, part) if isinstance(part, str) else found
         inside = _opened(part, found, here.get(part) if isinstance(here, dict) else here[part])
         if inside is None:
-            inside = [{} if isinstance(each, dict) else each for each in full] if isinstance(full, list) else {}
+            inside = [{} if isinstance(part, dict) else part for part in full] if isinstance(full, list) else {}
         _refuse_part(key, inside, path[depth + 1], str(part))
         here[part] = inside
         here, inner = inside, found.resolve(inside) if isinstance(found, Family) else found
@@ -115,29 +115,29 @@ def _change_kind(key: str, here: dict[str, Any], kind: Any, family: Family) -> N
         lost = set(here) & set(fields) - (set(new.__pydantic_fields__) - new.own_keys)
         if dropped := sorted(name for name in lost if to_plain(here.pop(name)) != to_plain(fields[name].default)):
             name = getattr(kind, "__name__", kind)
-            _say_once(f"{key}: dropped {', '.join(dropped)}, which {name} lacks or takes for something else")
+            _log_once(f"{key}: dropped {', '.join(dropped)}, which {name} lacks or takes for something else")
     here["kind"] = kind
 
 
 @lru_cache(maxsize=256)
-def _say_once(line: str) -> None:
+def _log_once(line: str) -> None:
     logging.getLogger("stewart_drake").warning(f"stewart-drake: {line}")
 
 
 def _type_at(section: Any, name: str) -> Any:
-    """The family of what stands at a key of a section, also as an element of a list; else its section; else None."""
+    """The family of kinds at a key of a section, or in a list there; else the class of the section there; else None."""
     field = getattr(section, "__pydantic_fields__", {}).get(name)
     types: list[Any] = [] if field is None else [field.annotation, *field.metadata]
     while types:
-        each = types.pop()
-        if isinstance(each, Family) or (isinstance(each, type) and issubclass(each, Section)):
-            return each
-        types += get_args(each)
+        kind = types.pop()
+        if isinstance(kind, Family) or (isinstance(kind, type) and issubclass(kind, Section)):
+            return kind
+        types += get_args(kind)
     return None
 
 
 def _opened(name: str | int, family: Any, value: Any) -> Any:
-    """A copy of what stands at a key, to change something in it; `family` is that of its kinds, if it has some."""
+    """A copy of the value at a key, to change it; `family` is that of its kinds, if it has some."""
     if name == ROBOT_KEY and isinstance(value, str):
         value = robot_section(value)
     elif isinstance(family, Family):

@@ -140,8 +140,8 @@ class Scenario(ControlOptions):
             )
         model_motors, motors = self.controller_model.motors, self.motors
         # The command of a user's motors is not checked.
-        if motors.code is None and model_motors.takes != motors.takes:
-            allowed = f"motors that take {motors.takes} [{motors.unit}], as `motors` do"
+        if motors.code is None and model_motors.command_quantity != motors.command_quantity:
+            allowed = f"motors that take {motors.command_quantity} [{motors.unit}], as `motors` do"
             raise ConfigurationError("model.motors.kind", model_motors.kind, allowed)
         steps_per("controller.period", self.controller.period, self.plant.time_step)
         steps_per("estimator.period", self.reading_period, self.plant.time_step)

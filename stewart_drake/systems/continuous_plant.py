@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
-from pydrake.systems.framework import BasicVector_, LeafSystem_
+from pydrake.systems.framework import BasicVector, BasicVector_, Context, ContinuousState, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from stewart_drake.base.arguments import checked
@@ -87,7 +87,7 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
         def _construct_copy(self, other: Any, converter: Any = None) -> None:
             Impl._construct(self, *other._arguments, converter=converter)
 
-        def set_state(self, context: Any, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
+        def set_state(self, context: Context, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> None:
             """Sets pose (6,) [rad, m] and pose rate (6,); `context` of the Diagram."""
             pose, rate = np.asarray(pose), np.zeros(6) if pose_rate is None else np.asarray(pose_rate)
             check_value("pose", pose, Vector6)
@@ -98,7 +98,7 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
                 self.ValidateContext(mine)
             mine.SetContinuousState(np.append(pose, rate))
 
-        def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:  # noqa: N802 - Drake's name
+        def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:  # noqa: N802 - Drake's name
             state = context.get_continuous_state_vector().CopyToVector()
             wrench = self.wrench.Eval(context) if self.wrench.HasValue(context) else np.zeros(6)
             self.read_parameters(context)
@@ -118,7 +118,7 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
                 raise NotFiniteError("the plant's acceleration", result[6:])
             return result
 
-        def _cranks(self, context: Any, output: Any) -> None:
+        def _cranks(self, context: Context, output: BasicVector) -> None:
             def cranks(state: np.ndarray) -> np.ndarray:
                 return np.concatenate(crank_motion(self._arguments[0], self._home, state[:6], state[6:]))
 

@@ -10,7 +10,7 @@ import numpy as np
 from pydrake.geometry import Meshcat, MeshcatVisualizer
 from pydrake.multibody.meshcat import ContactVisualizer
 from pydrake.multibody.plant import ExternallyAppliedSpatialForceMultiplexer
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, InputPort, OutputPort, System
 from pydrake.systems.primitives import (
     ConstantVectorSource,
     Demultiplexer,
@@ -184,7 +184,7 @@ class LoopSystems:
             scenario = scenario.replace({"plant": robot.options, "gravity": gravity})
         self.scenario, self.loop = scenario, loop_of(scenario)
         self._builder, self._prefix = builder, f"{name}_" if name else ""
-        self.systems: dict[str, Any] = {}
+        self.systems: dict[str, System] = {}
         self.inputs: dict[str, InputPort] = {}
         self.tables: dict[str, InBlocks] = {}
         self.strides: dict[str, int] = {}

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
-from pydrake.systems.framework import Context, DiscreteValues, InputPort, LeafSystem, OutputPort, State
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, InputPort, LeafSystem, OutputPort, State
 
 from stewart_drake.base.arguments import checked
 from stewart_drake.base.config import NotNegative, check_value
@@ -130,7 +130,7 @@ class PartSystem(LeafSystem, WithParameters):
     def _slice(self, name: str) -> OutputPort:
         start, size = int(self._kind.fields[name][1]) // 8, self.part.size(name)  # type: ignore[index]
 
-        def calc(context: Context, output: Any) -> None:
+        def calc(context: Context, output: BasicVector) -> None:
             output.SetFromVector(self.result.Eval(context)[start : start + size])
 
         ticket = self.get_output_port(self.result.get_index()).cache_entry().ticket()
@@ -141,7 +141,7 @@ class PartSystem(LeafSystem, WithParameters):
         """Number of the tick to which an instant belongs."""
         return int(context.get_time() / self._early + _SAME_TICK)
 
-    def _answer(self, context: Context, output: Any) -> None:
+    def _answer(self, context: Context, output: BasicVector) -> None:
         held, result = context.get_discrete_state(self._tick).value(), output.get_mutable_value()
         result[:] = held[:-2]
         if held[-1]:
@@ -345,7 +345,7 @@ class ScenarioInput(LeafSystem):
         self.outside = self.DeclareVectorInputPort("outside", size)
         self.scenario = self.DeclareVectorInputPort("scenario", size)
 
-        def calc(context: Context, output: Any) -> None:
+        def calc(context: Context, output: BasicVector) -> None:
             if not self.outside.HasValue(context):
                 return output.SetFromVector(self.scenario.Eval(context))
             value = self.outside.Eval(context)
@@ -367,7 +367,7 @@ class TimeSource(LeafSystem):
     def __init__(self, name: str, size: int, evaluate: Callable[[float], np.ndarray]) -> None:
         super().__init__()
 
-        def calc(context: Context, output: Any) -> None:
+        def calc(context: Context, output: BasicVector) -> None:
             output.SetFromVector(evaluate(context.get_time()))
 
         setattr(self, name, self.DeclareVectorOutputPort(name, size, calc, prerequisites_of_calc={self.time_ticket()}))
@@ -405,10 +405,10 @@ class TaskSpaceSensor(LeafSystem):
         self.measurement = self.DeclareVectorOutputPort("measurement", 12, self._pose, prerequisites_of_calc=needs)
         self.crank_state = self.DeclareVectorOutputPort("crank_state", 12, self._cranks, prerequisites_of_calc=needs)
 
-    def _pose(self, context: Context, output: Any) -> None:
+    def _pose(self, context: Context, output: BasicVector) -> None:
         self._plant.read_pose(self.plant_state.Eval(context), output.get_mutable_value())
 
-    def _cranks(self, context: Context, output: Any) -> None:
+    def _cranks(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._plant.crank_state(self.plant_state.Eval(context)))
 
 
@@ -430,5 +430,5 @@ class PlatformWrench(LeafSystem):
             "spatial_force", lambda: forces(), self._calc, prerequisites_of_calc=needs
         )
 
-    def _calc(self, context: Context, output: Any) -> None:
+    def _calc(self, context: Context, output: BasicVector) -> None:
         output.set_value([self._plant.push(self.wrench.Eval(context))])

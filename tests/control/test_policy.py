@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from strategies import ROBOT
 
-from stewart_drake.base.jit import record
+from stewart_drake.base.records import record
 from stewart_drake.control.features import DRIFT_TIME, FEATURES, TIMES, compute_features
 from stewart_drake.control.policy import FADE, SIZE, STEP, Policy, policy_setting, setting_part, weights_of
 from stewart_drake.control.riccati import chain_gain

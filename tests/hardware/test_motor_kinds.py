@@ -8,9 +8,8 @@ import pytest
 from stewart_drake import Controller, load_scenario, run
 from stewart_drake.base.config import Positive
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.base.jit import fields, new_record
 from stewart_drake.base.registry import MOTORS
-from stewart_drake.hardware.motors import MotorOptions, within_limit
+from stewart_drake.hardware.motors import Command, MotorOptions, Torque, within_limit
 from stewart_drake.loop.part import Part
 
 LIMIT = 0.6
@@ -43,7 +42,7 @@ def test_motors_give_no_more_than_their_limit_on_every_plant(kind, motors):
 class DrivenMotors(MotorOptions):
     """Motors that take voltages."""
 
-    takes, unit = "voltage", "V"
+    command_quantity, unit = "voltage", "V"
 
     kind: Literal["driven"] = "driven"
     constant: Positive = 0.25
@@ -51,12 +50,10 @@ class DrivenMotors(MotorOptions):
 
     def part(self, robot, time_step):
         constants = {"constant": self.constant, "limit": robot.effort_limits}
-        first = new_record(fields(torque=6))
-        return Part("motors", turn, constants, {"command": 6}, ("torque",), first, period=time_step)
+        return Part("motors", turn, constants, {"command": 6}, ("torque",), Torque.new(), period=time_step)
 
     def inverse_parts(self, context):  # noqa: ARG002
-        first = new_record(fields(command=6))
-        return (Part("voltages", ask, {"constant": self.constant}, {"torque": 6}, ("command",), first),)
+        return (Part("voltages", ask, {"constant": self.constant}, {"torque": 6}, ("command",), Command.new()),)
 
     def initial_command(self, context):
         return context.initial_torque / self.constant

@@ -37,7 +37,7 @@ class Robot(threading.Thread):
 
     def __init__(self, scenario=SERVOS, period=0.004, takes=None):
         super().__init__(daemon=True)
-        self.side = RobotSide(takes or scenario.motors.takes, command_limits(scenario))
+        self.side = RobotSide(takes or scenario.motors.command_quantity, command_limits(scenario))
         self.period, self.mischief, self.followed = period, lambda data: [data], []
         self.ended = threading.Event()
         self.angles = np.zeros(6)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import ROBOT, vectors
 
-from stewart_drake.base.jit import record
+from stewart_drake.base.records import record
 from stewart_drake.mechanics import friction
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.mechanics.friction import FrictionOptions, bristle_stiffness

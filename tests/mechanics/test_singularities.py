@@ -3,7 +3,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import ROBOT, robots_and_poses, vectors
 
-from stewart_drake.base.jit import njit, record
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import record
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry, pose_rate_to_twist, reach_margin, rod_lines
 from stewart_drake.mechanics.kinematics_laws import QUICK, Legs, robot_record
 from stewart_drake.mechanics.singularities import CONTROLLED, MONITORED, PLANNED, WEIGHT_TRUSTED, measure_pose

@@ -3,6 +3,7 @@
 import inspect
 import math
 import re
+from typing import Annotated
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from strategies import ROBOT
 
 from stewart_drake import systems
 from stewart_drake.base.errors import ConfigurationError, RiccatiError
-from stewart_drake.base.jit import fields, new_record
+from stewart_drake.base.records import Record, Vec2
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.loop.part import Part
@@ -119,7 +120,10 @@ def test_an_observer_wired_by_hand_knows_where_the_platform_is():
     np.testing.assert_allclose(system.measurement.Eval(context)[:6], home, atol=1e-4)
 
 
-SAMPLER = fields(value=1, rest=2, scratch=1)
+class Sampler(Record):
+    value: Annotated[np.ndarray, (1,)]
+    rest: Vec2
+    scratch: Annotated[np.ndarray, (1,)]
 
 
 def sampler(fail_at=math.inf, failure=None, **changes):
@@ -131,7 +135,7 @@ def sampler(fail_at=math.inf, failure=None, **changes):
         state["value"][0] = value
         state["rest"][0] += 1.0, value[0]
 
-    part = Part("sampler", tick, {}, {"input": 1, "time": 1}, ("value", "rest"), new_record(SAMPLER, value=-1.0))
+    part = Part("sampler", tick, {}, {"input": 1, "time": 1}, ("value", "rest"), Sampler.new(value=-1.0))
     return part._replace(**changes)
 
 

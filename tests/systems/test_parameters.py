@@ -1,5 +1,8 @@
 """Parameters in a Context: of parts, of the plants, and drawn at random."""
 
+from functools import reduce
+from operator import getitem
+
 import numpy as np
 import pytest
 from pydrake.common import RandomGenerator
@@ -150,11 +153,12 @@ def test_monte_carlo_by_drake_is_the_sweep_for_the_same_numbers():
     assert error(simulator.get_system(), simulator.get_context()) == np.abs(run(sweep.scenario(3))["error"][:10]).max()
 
 
-@pytest.mark.parametrize(("part", "count"), [("observer", "ahead"), ("observer", "age"), ("safety", "half")])
+@pytest.mark.parametrize(("part", "count"), [("observer", "ahead"), ("observer", "age"), ("safety", "residual.half")])
 def test_rows_of_a_parts_memory_are_no_parameter(part, count):
     loop = build_diagram(SCENARIO.replace({"sensors": "encoders", "estimator": "observer", "safety": {}}))
     simulator = Simulator(loop)
-    loop.systems[part].parameter(simulator.get_mutable_context(), "params")[count] = np.nan
+    *records, name = count.split(".")
+    reduce(getitem, records, loop.systems[part].parameter(simulator.get_mutable_context(), "params"))[name] = np.nan
     with pytest.raises(
         ConfigurationError, match=rf"^params\.{count}: expected \d+, which its part is built for, got .*nan"
     ):

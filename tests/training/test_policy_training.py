@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.base.jit import record
+from stewart_drake.base.records import record
 from stewart_drake.control.features import CostScales
 from stewart_drake.control.policy import Policy, policy_setting
 from stewart_drake.control.tuners import PolicyTuner
