@@ -19,7 +19,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, cast
 
 import numpy as np
 
@@ -237,6 +237,9 @@ class Policy(Mlp):
         if not isinstance(self.features, (list, tuple)) or tuple(self.features) != FEATURES:
             raise ConfigurationError("features", self.features, f"{list(FEATURES)}")
         super().__post_init__()
+
+    def params(self) -> PolicyParams:
+        return cast("PolicyParams", super().params())
 
     @property
     def lowest(self) -> np.ndarray:

@@ -42,44 +42,30 @@ class Part(NamedTuple):
     An input is the latest value of its signal: from the same tick if the part that gives it comes earlier in the list,
     from the tick before if it comes later or runs at the end of a tick.
 
-    Attributes:
-        name: In the Diagram and in messages.
-        kernel: See above.
-        constants: Name -> constant value; any object for a kernel in plain Python.
-        inputs: Port -> size; the kernel gets arrays (size,). The port `time` (1,) [s] is always available.
-        outputs: Fields of the state that are signals.
-        initial: State before the first tick.
-        scratch: Records that the kernel overwrites.
-        statuses: Status other than 0 -> its error, which may refer to parameters, constants, inputs and `state`.
-        error: Replaces `statuses`: from result and arguments to the error.
-        connections: Port or parameter -> name of its signal, by default the same; or a constant array, for a port that
-            has no signal in this loop.
-        output_names: Output -> name of its signal, by default the same.
-        period: [s] between two ticks; None for the controller's.
-        end_of_tick: Whether it runs after all others, so that its outputs act from the next tick on.
-        fault_tolerant: Whether a failed tick does not end the run: the last state is repeated, and its output `health`
-            (2,) has the cause as `errors.FAILURES` counts it, 0 for none, and the leg or -1.
-        system: A user's LeafSystem, which replaces kernel and state; for a Diagram only.
-        parameters: Name -> initial numbers, a record or an array of float64. A Context may change them, and a signal of
-            the same size may replace one, see `connections`.
+    A Context may change parameters, and a signal of the same size may replace one. After a failed tick a fault tolerant
+    part repeats its last state, and its output `health` (2,) has the cause as `errors.FAILURES` counts it, 0 for none,
+    and the leg or -1.
     """
 
-    name: str
+    name: str  # In the Diagram and in messages.
     kernel: Kernel
-    constants: Mapping[str, object]
-    inputs: Mapping[str, int]
-    outputs: tuple[str, ...]
-    initial: Record
-    scratch: tuple[type[Record], ...] = ()
+    constants: Mapping[str, object]  # Name -> value; any object for a kernel in plain Python.
+    inputs: Mapping[str, int]  # Port -> size; the kernel gets arrays. The port `time` (1,) [s] is always available.
+    outputs: tuple[str, ...]  # Fields of the state that are signals.
+    initial: Record  # State before the first tick.
+    scratch: tuple[type[Record], ...] = ()  # Records that the kernel overwrites.
+    # Status other than 0 -> its error, which may refer to parameters, constants, inputs and `state`.
     statuses: Mapping[int, Status] = MappingProxyType({})
+    # Replaces `statuses`: from result and arguments to the error.
     error: Callable[[TickResult, Mapping[str, Any]], RunFailure] | None = None
+    # Port or parameter -> name of its signal, by default the same; or a constant array, for a port without a signal.
     connections: Mapping[str, str | np.ndarray] = NOTHING
-    output_names: Mapping[str, str] = NOTHING
-    period: float | None = None
-    end_of_tick: bool = False
+    output_names: Mapping[str, str] = NOTHING  # Output -> name of its signal, by default the same.
+    period: float | None = None  # [s] between two ticks; None for the controller's.
+    end_of_tick: bool = False  # Whether it runs after all others; its outputs then act from the next tick on.
     fault_tolerant: bool = False
-    system: Any = None
-    parameters: Mapping[str, np.ndarray] = NOTHING
+    system: Any = None  # A user's LeafSystem, which replaces kernel and state; for a Diagram only.
+    parameters: Mapping[str, np.ndarray] = NOTHING  # Name -> initial numbers, a record or an array of float64.
 
     @property
     def leading(self) -> dict[str, object]:

@@ -22,8 +22,7 @@ from numpy.typing import ArrayLike
 
 from stewart_drake.base.atomic_files import MAX_FILE_BYTES, checksum, read_checked, seal, unseal, write_atomically
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.base.jit import record
-from stewart_drake.base.records import Record, Vec6, Vec12, Vec18
+from stewart_drake.base.records import Record, Vec6, Vec12, Vec18, record
 from stewart_drake.control.features import FEATURES, CostScales, TunerParams, TunerState, compute_features
 from stewart_drake.control.policy import LARGEST_FEATURE, SIZE, Policy, SettingSource, policy_setting, slew
 from stewart_drake.control.tuners import PolicyTuner
