@@ -240,13 +240,7 @@ def regression_part(
     if options.frozen:
         # The model stays as it is.
         first["friction_unknown"] = Friction.new()
-    constants = {
-        "robot": robot,
-        "rest": rest,
-        "joints": ball_joints,
-        "friction": friction,
-        "params": params,
-    }
+    constants = {"robot": robot, "rest": rest, "joints": ball_joints, "friction": friction, "params": params}
     outputs = ["friction", "robot", "learnt", "learnt_half_width", "friction_unknown", "coulomb_uncertainty"]
     outputs += [] if motors.by_torque else ["gain"]
     outputs += ["command_lead"] if motors.holds else []

@@ -52,10 +52,8 @@ def write_parameters(params: RegressionParams, model: Robot, friction: Friction,
     for i in range(6):
         damping, coulomb = _friction_of(params, state.applied_per_motor[i], shared, i)
         drive = np.exp(-(shared[DRIVE] + state.applied_per_motor[i, MOTOR_DRIVE])) if params.by_gain == 1.0 else 1.0
-        viscous, excess = (
-            drive * damping - params.servo_damping,
-            model_friction.break_away[i] - model_friction.coulomb[i],
-        )
+        viscous = drive * damping - params.servo_damping
+        excess = model_friction.break_away[i] - model_friction.coulomb[i]
         if params.cautious == 1.0:
             viscous *= 1.0 - _uncertainty(params, state, i, MOTOR_DAMPING) ** 2 if viscous > 0.0 else 1.0
             known = 1.0 - _uncertainty(params, state, i, MOTOR_COULOMB) ** 2
