@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stewart_drake.base import jit, records
+from stewart_drake.base.records import record
 from stewart_drake.export import types as c
 from stewart_drake.export.source import Source, scope_of
 from stewart_drake.export.types import Array, Constant, Local, Scalar, Struct, TupleType, Untyped, Value, number, wider
@@ -243,20 +243,18 @@ class Expressions:
         return Scalar("bool", f" {sign} ".join(texts), binding)
 
     def _compare_value(self, node: ast.Compare) -> Value:
-        values, results = [self.scalar(part) for part in (node.left, *node.comparators)], []
-        for op, a, b in zip(node.ops, values, values[1:], strict=False):
-            sign = _COMPARED.get(type(op), "")
-            if not sign:
-                raise Untyped("a comparison of this kind")
-            is_equality = sign in ("==", "!=")
-            if is_equality and a.kind == b.kind == "int" and a.value is not None and b.value is not None:
-                results.append(number((a.value == b.value) == (sign == "==")))
-            else:
-                binding = c.EQUALITY if is_equality else c.RELATION
-                results.append(Scalar("bool", f"{a.within(c.SUM)} {sign} {b.within(c.SUM)}", binding))
-        if len(results) == 1:
-            return results[0]
-        return Scalar("bool", " && ".join(result.text for result in results), c.CONJUNCTION)
+        values, signs = (
+            [self.scalar(x) for x in (node.left, *node.comparators)],
+            [_COMPARED.get(type(x)) for x in node.ops],
+        )
+        if None in signs:
+            raise Untyped("a comparison of this kind")
+        if signs == ["=="] and all(x.kind == "int" and x.value is not None for x in values):
+            return number(values[0].value == values[1].value)
+        pairs = zip(signs, values, values[1:], strict=False)
+        texts = [f"{a.within(c.SUM)} {sign} {b.within(c.SUM)}" for sign, a, b in pairs]
+        binding = c.EQUALITY if signs[0] in ("==", "!=") else c.RELATION
+        return Scalar("bool", " && ".join(texts), binding if len(texts) == 1 else c.CONJUNCTION)
 
     def _ifexp_value(self, node: ast.IfExp) -> Value:
         test = self.scalar(node.test)
@@ -283,7 +281,7 @@ class Expressions:
         if called in (np.empty, np.zeros):
             return self._new(node.args, called is np.zeros)
         given = [self.value(argument) for argument in node.args]
-        if called in (jit.record, records.record):
+        if called is record:
             return given[0]
         if called is len and isinstance(given[0], Array):
             return number(given[0].shape[0])

@@ -8,9 +8,9 @@ import shutil
 import subprocess
 import tempfile
 import zipfile
+from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -30,13 +30,7 @@ from stewart_drake.scenario.assembly import command_path, context_of, control_si
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
 
-
-class Variable(NamedTuple):
-    """An input or output of a unit: its name, and its numbers at the start."""
-
-    name: str
-    start: np.ndarray
-    is_input: bool
+Numbers = Mapping[str, np.ndarray]
 
 
 def plant_part(scenario: Scenario) -> Part:
@@ -66,28 +60,18 @@ def controller_unit(options: ControlOptions, name: str) -> bytes:
     own, side = c_name(name), control_side(options, split=True)
     files = {file: text for file, text in controller_files(options, name).items() if file in (f"{own}.h", f"{own}.c")}
     wanted = np.concatenate([source.evaluate(np.zeros(1))[0] for source in side.sources])
-    variables = [
-        Variable("reading", readings_along(options, side, 1)[0], True),
-        Variable("reference", wanted, True),
-        Variable("age", np.zeros(1), True),
-        Variable("command", np.zeros(6), False),
-    ]
-    step = f"return {own}_step(&u->inner, u->reading, u->reference, u->age[0], u->command) == 0 && ++u->steps > 0.0;"
-    return _unit(f"{own}_controller", own, "a controller", files, variables, options.reading_period, step)
+    inputs = {"reading": readings_along(options, side, 1)[0], "reference": wanted, "age": np.zeros(1)}
+    arguments = "u->reading, u->reference, u->age[0], u->command"
+    return _unit("controller", own, files, inputs, {"command": np.zeros(6)}, options.reading_period, arguments)
 
 
 def robot_unit(scenario: Scenario, name: str) -> bytes:
     """The robot with its motors as an FMU: inputs `command`, `wrench`, output `measured`."""
-    own = f"{c_name(name)}_robot"
-    pose, rate = scenario.start()
-    variables = [
-        Variable("command", scenario.motors.initial_command(context_of(scenario, split=True)), True),
-        Variable("wrench", np.zeros(6), True),
-        Variable("measured", ClosedForm(scenario.robot, scenario.plant, scenario.gravity).initial(pose, rate), False),  # type: ignore[arg-type]
-    ]
-    step = f"return {own}_step(&u->inner, u->command, u->wrench, u->measured) == 0 && ++u->steps > 0.0;"
-    files = robot_files(scenario, own)
-    return _unit(f"{own}_robot", own, "a robot", files, variables, scenario.plant.time_step, step)
+    own, plant = f"{c_name(name)}_robot", ClosedForm(scenario.robot, scenario.plant, scenario.gravity)  # type: ignore[arg-type]
+    command = scenario.motors.initial_command(context_of(scenario, split=True))
+    inputs, outputs = {"command": command, "wrench": np.zeros(6)}, {"measured": plant.initial(*scenario.start())}
+    arguments = "u->command, u->wrench, u->measured"
+    return _unit("robot", own, robot_files(scenario, own), inputs, outputs, scenario.plant.time_step, arguments)
 
 
 def write_units(options: ControlOptions, name: str, folder: Path) -> list[Path]:
@@ -102,20 +86,28 @@ def write_units(options: ControlOptions, name: str, folder: Path) -> list[Path]:
 
 
 def _unit(
-    struct: str, own: str, what: str, files: dict[str, str], variables: list[Variable], period: float, step: str
+    kind: str, own: str, files: dict[str, str], inputs: Numbers, outputs: Numbers, period: float, arguments: str
 ) -> bytes:
-    """The archive of a unit, with a library for this machine where there is a C compiler."""
-    words = {"WHAT": what, "HEADER": f"{own}.h", "STRUCT": struct, "PERIOD": number(on_grid(period)).text, "STEP": step}
-    words["FIELDS"] = "\n".join(f"    double {each.name}[{each.start.size}];" for each in variables)
+    """The archive of a unit, with a library for this machine where there is a C compiler.
+
+    Inputs and outputs are by name, with their numbers at the start; `arguments` are those of its function `step`.
+    """
+    variables = {**inputs, **outputs}
+    words = {
+        "WHAT": f"a {kind}",
+        "HEADER": f"{own}.h",
+        "STRUCT": f"{own}_{kind}",
+        "PERIOD": number(on_grid(period)).text,
+    }
+    words["STEP"] = f"return {own}_step(&u->inner, {arguments}) == 0 && ++u->steps > 0.0;"
+    words["FIELDS"] = "\n".join(f"    double {name}[{start.size}];" for name, start in variables.items())
     words |= {"INIT": f"{own}_init(&u->inner);", "WHY": f"{own}_why"}
-    rows = [
-        f"    {{offsetof(unit, {each.name}), {each.start.size}, {'true' if each.is_input else 'false'}}},"
-        for each in variables
-    ]
-    starts = [f"    u->{each.name}[{k}] = {number(x).text};" for each in variables for k, x in enumerate(each.start)]
-    words |= {"TABLE": "\n".join(rows), "START": "\n".join(starts)}
+    rows = ((name, start.size, "true" if name in inputs else "false") for name, start in variables.items())
+    words["TABLE"] = "\n".join(f"    {{offsetof(unit, {name}), {size}, {flag}}}," for name, size, flag in rows)
+    starts = ((name, k, number(x).text) for name, start in variables.items() for k, x in enumerate(start))
+    words["START"] = "\n".join(f"    u->{name}[{k}] = {text};" for name, k, text in starts)
     sources = {**files, "fmu.c": from_template("fmu.c", words)}
-    words |= _described(own, sources, variables)
+    words |= _described(own, sources, inputs, outputs)
     content = {"modelDescription.xml": from_template("modelDescription.xml", words)}
     content |= {f"sources/{file}": text for file, text in sources.items()}
     content["sources/buildDescription.xml"] = from_template("buildDescription.xml", words)
@@ -148,18 +140,16 @@ def _library(own: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
         return f"binaries/{machine}-{system}/{library.name}", library.read_bytes()
 
 
-def _described(own: str, sources: dict[str, str], variables: list[Variable]) -> dict[str, str]:
-    """What its two descriptions say of a unit."""
+def _described(own: str, sources: dict[str, str], inputs: Numbers, outputs: Numbers) -> dict[str, str]:
+    """Words of the two descriptions of a unit."""
     rows = ['<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>']
-    for k, each in enumerate(variables, start=1):
-        start = f" start={quoteattr(' '.join(repr(float(x)) for x in each.start))}" if each.is_input else ""
-        kind = "input" if each.is_input else "output"
-        rows.append(
-            f'<Float64 name="{each.name}" valueReference="{k}" causality="{kind}" variability="discrete"{start}>'
-            f'<Dimension start="{each.start.size}"/></Float64>'
-        )
-    outputs = [k for k, each in enumerate(variables, start=1) if not each.is_input]
-    structure = "".join(f'<{tag} valueReference="{k}"/>' for tag in ("Output", "InitialUnknown") for k in outputs)
+    for k, (name, values) in enumerate({**inputs, **outputs}.items(), start=1):
+        start = f" start={quoteattr(' '.join(repr(float(x)) for x in values))}" if name in inputs else ""
+        kind = f'causality="{"input" if name in inputs else "output"}" variability="discrete"{start}'
+        size = f'<Dimension start="{values.size}"/>'
+        rows.append(f'<Float64 name="{name}" valueReference="{k}" {kind}>{size}</Float64>')
+    places = range(len(inputs) + 1, len(inputs) + len(outputs) + 1)
+    structure = "".join(f'<{tag} valueReference="{k}"/>' for tag in ("Output", "InitialUnknown") for k in places)
     compiled = "".join(f'<SourceFile name="{file}"/>' for file in sources if file.endswith(".c"))
     token = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:32]
     words = {"NAME": own, "TOKEN": token, "VERSION": __version__, "COMPILED": compiled}
