@@ -224,8 +224,14 @@ def loop_source(scenario: Scenario) -> LoopSource:
     }
     source = LoopSource(parts, outside, inside, scenario.controller.period, step, {}, VARIABLE)
     constants = {"robot": numbers, "params": stops}
-    source.add_apart(Part("check", allowed_tick, constants, {"asked": 6}, (), Allowed.new(), (laws.Legs,)))
+    source.add(len(parts), Part("check", allowed_tick, constants, {"asked": 6}, (), Allowed.new(), (laws.Legs,)))
     return source
+
+
+def place_of(source: LoopSource, signal: str) -> tuple[int, int]:
+    """The double of the record with which a signal begins, and how many it has."""
+    part, output = next((p, name) for p in source.parts for name in p.outputs if p.signal(name) == signal)
+    return source.places[part.name][0] + part.initial.dtype.fields[output][1] // 8, part.size(output)
 
 
 def module_text(scenario: Scenario, source: LoopSource) -> str:
@@ -331,9 +337,9 @@ def robot_data(name: str, scenario: Scenario) -> dict[str, Any]:
             "places": source.places,
             "parts": [part.name for part in source.parts],
             "kinds": {part.name: str(part.initial.dtype) for part in source.parts},
-            "torque": source.place("motor_torque"),
-            "safety": source.place("safety"),
-            "setting": source.place("setting") if tunes else None,
+            "torque": place_of(source, "motor_torque"),
+            "safety": place_of(source, "safety"),
+            "setting": place_of(source, "setting") if tunes else None,
         }
     motion = scenario.reference
     return {

@@ -58,9 +58,9 @@ MEAN_FLOOR = 1e-9
 def density_of(samples: Matrix, first: int, signed: bool, out: Vector) -> None:
     """Densities (k,) [-] of the last sample of a window (m + 1, k), oldest first; rows before `first` do not count.
 
-    (35), (36), `signed`: x over the mean of n rows. Deviation: the printed form is singular where the signed sum crosses
-    zero; the result is limited to +-n there, and close to it decided by rounding errors. Otherwise |x| over the mean of
-    |x|, which lies in [0, n] and is well-conditioned.
+    (35), (36), `signed`: x over the mean of n rows. Deviation: the printed form is singular where the signed sum
+    crosses zero; the result is limited to +-n there, and close to it decided by rounding errors. Otherwise |x| over the
+    mean of |x|, which lies in [0, n] and is well-conditioned.
     """
     rows = samples.shape[0]
     count = float(rows - first)
@@ -181,7 +181,7 @@ class TunerState(Record):
 
 @njit
 def _plausible(signal: Vector) -> bool:
-    for k in range(len(signal)):
+    for k in range(len(signal)):  # noqa: SIM110 - numba knows no generators here
         if not abs(signal[k]) < LARGEST_SIGNAL:
             return False
     return True

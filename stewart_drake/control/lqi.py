@@ -219,7 +219,7 @@ def pose_problem(
     if status != laws.OK:
         return status, leg, margin
     for k in range(4):
-        problem.weights[k] = weights[k] if weights.size == 4 else weights[k // 3]
+        problem.weights[k] = weights[k] if weights.size == 4 else weights[0 if k < 3 else 1]
         if not 0.0 < problem.weights[k] < np.inf:
             return NO_WEIGHTS, -1, 0.0
     problem.changed = 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from stewart_drake import __version__
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import FAILURES, ConfigurationError, RunFailure
 from stewart_drake.base.sampling import on_grid
-from stewart_drake.export.loop import LoopSource, table_of
+from stewart_drake.export.loop import LoopSource
 from stewart_drake.export.program import from_template
 from stewart_drake.export.types import number
 from stewart_drake.mechanics.kinematics import inverse_kinematics
@@ -68,26 +69,31 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
     words |= {"MEANS": "angles of the cranks [rad]" if reads_angles else "pose [rad, m] and its rate"}
     words |= {"LIMIT": loop.program.table("command_limit", limit).base, "COMMAND": loop.signals[command].pointer}
     words |= {"PARTS": ", ".join(f'"{part.name}"' for part in parts), "LOOP": loop.text().rstrip()}
-    words |= {"TABLE": table_of(_reference(side, period, ticks))}
+    words |= {"TABLE": _reference(side, period, ticks)}
     wanted = {"controller.h": f"{own}.h", "controller.c": f"{own}.c", "reference.c": f"{own}_reference.c"}
     wanted |= {name: name for name in ("main.c", "Makefile", *(["board.c"] if reads_angles else []))}
     files = {file: from_template(template, words) for template, file in wanted.items()}
     return {**files, "replay.csv": _replay(options, side)}
 
 
-def export_controller(options: ControlOptions, name: str, folder: Path) -> list[Path]:
-    """Writes `controller_files` into a folder; their paths."""
-    files = controller_files(options, name)
+def write_files(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
+    """Writes files, by name, into a folder; their paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    for file, text in files.items():
-        write_atomically(folder / file, text.encode())
+    for file, content in files.items():
+        write_atomically(folder / file, content)
     return [folder / file for file in files]
 
 
-def _reference(side: ControlSide, period: float, ticks: int) -> np.ndarray:
-    """Reference (ticks, 18), and what is ahead beside it, at each step."""
+def export_controller(options: ControlOptions, name: str, folder: Path) -> list[Path]:
+    """Writes `controller_files` into a folder; their paths."""
+    return write_files(folder, {file: text.encode() for file, text in controller_files(options, name).items()})
+
+
+def _reference(side: ControlSide, period: float, ticks: int) -> str:
+    """Rows of a C array: the reference, and what is ahead beside it, at each step."""
     times = np.arange(ticks) * on_grid(period)
-    return np.concatenate([source.evaluate(times) for source in side.sources], axis=1)
+    rows = np.concatenate([source.evaluate(times) for source in side.sources], axis=1)
+    return ",\n".join("    {" + ", ".join(number(value).text for value in row) + "}" for row in rows)
 
 
 def readings_along(options: ControlOptions, side: ControlSide, ticks: int) -> np.ndarray:

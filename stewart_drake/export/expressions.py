@@ -81,8 +81,8 @@ class Expressions:
                 raise Untyped("an assignment to a constant")
             self.written.add(value.root)
 
-    def named(self, value: TupleType, hint: str) -> tuple[Scalar, ...]:
-        """The numbers of a tuple; those of a call are kept under a name."""
+    def named(self, value: TupleType, hint: str) -> tuple[Any, ...]:
+        """The values of a tuple; those of a call are kept under a name."""
         if not value.call:
             return value.items
         name, kinds = self.fresh(hint), [item.kind for item in value.items]
@@ -196,7 +196,7 @@ class Expressions:
         return value
 
     def _tuple_value(self, node: ast.Tuple) -> Value:
-        return TupleType(tuple(self.scalar(item) for item in node.elts))
+        return TupleType(tuple(self.value(item) for item in node.elts))
 
     def _unaryop_value(self, node: ast.UnaryOp) -> Value:
         of = self.scalar(node.operand)
@@ -215,10 +215,8 @@ class Expressions:
             return self._power(left, right)
         if isinstance(node.op, ast.Mod) and "double" in (left.kind, right.kind):
             return Scalar("double", f"{self.program.helper('modulo')}({left.text}, {right.text})")
-        if isinstance(node.op, ast.FloorDiv) and left.kind == "int" and (right.value or 0) > 0:
-            return Scalar("int", f"{left.within(c.PRODUCT)} / {right.within(c.UNARY)}", c.PRODUCT)
         if type(node.op) not in BINARY:
-            raise Untyped("an operator of this kind; products of matrices, remainders of integers are loops and sums")
+            raise Untyped("an operator of this kind; products of matrices are loops")
         sign, binding = BINARY[type(node.op)]
         kind, first, value = wider("int", left.kind, right.kind), left.within(binding), None
         if sign == "/" and kind == "int":

@@ -16,10 +16,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from stewart_drake import __version__
-from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import ConfigurationError, Status
 from stewart_drake.base.sampling import on_grid
-from stewart_drake.export.controller_c import REASONS, c_name, controller_files, readings_along
+from stewart_drake.export.controller_c import REASONS, c_name, controller_files, readings_along, write_files
 from stewart_drake.export.loop import LoopSource
 from stewart_drake.export.program import from_template
 from stewart_drake.export.types import number
@@ -79,10 +78,7 @@ def write_units(options: ControlOptions, name: str, folder: Path) -> list[Path]:
     units = {f"{c_name(name)}.fmu": controller_unit(options, name)}
     if isinstance(options, Scenario):
         units[f"{c_name(name)}_robot.fmu"] = robot_unit(options, name)
-    folder.mkdir(parents=True, exist_ok=True)
-    for file, content in units.items():
-        write_atomically(folder / file, content)
-    return [folder / file for file in units]
+    return write_files(folder, units)
 
 
 def _unit(

@@ -56,7 +56,7 @@ class LoopSource:
                 base = f"((double *)&{place})" if kind.names else place if kind.shape else f"(&{place})"
                 self.signals[part.signal(name)] = _numbers(base, part.size(name))
         for k, part in enumerate(parts):
-            self._add(k, part)
+            self.add(k, part)
             steps = steps_per(f"{part.name}.period", part.period or period, step)
             due = "" if steps == 1 else f"fmod(loop->steps, {float(steps)}) == 0.0 && "
             call = f"    if ({due}(status = run_{part.name}(loop)) != 0) {{\n        return status;\n    }}"
@@ -77,21 +77,8 @@ class LoopSource:
         self._member(name, f"struct {self.program.struct(of)} {name}", initial)
         return Struct(of, f"&loop->{name}")
 
-    def add_apart(self, part: Part) -> None:
-        """A part that is called by its own name alone, `run_` before it."""
-        self._add(len(self.parts), part)
-
-    def place(self, signal: str) -> tuple[int, int]:
-        """The double of the record with which a signal begins, and how many it has."""
-        for part in self.parts:
-            for name in part.outputs:
-                if part.signal(name) == signal:
-                    return self.places[part.name][0] + part.initial.dtype.fields[name][1] // 8, part.size(name)  # type: ignore[index]
-        return self.places[signal]
-
-    # --- one part ---
-
-    def _add(self, k: int, part: Part) -> None:
+    def add(self, k: int, part: Part) -> None:
+        """The k-th part, as a function that is called `run_` and its name."""
         try:
             source = source_of(part.kernel)
         except Untyped as error:
@@ -176,8 +163,3 @@ class LoopSource:
 
 def _numbers(base: str, size: int) -> Array:
     return Array("double", base, (size,))
-
-
-def table_of(rows: np.ndarray) -> str:
-    """Rows of numbers (n, k) as C initialises an array with them."""
-    return ",\n".join("    {" + ", ".join(number(value).text for value in row) + "}" for row in rows)

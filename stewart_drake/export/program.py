@@ -116,24 +116,22 @@ class Program:
         if len(arguments) != len(given):
             raise Untyped(f"a call of `{function.__name__}` with {len(given)} arguments; give all of {len(arguments)}")
         parameters: tuple[Value, ...] = ()
-        free: list[tuple[int, ...]] = []
         for argument, value in zip(arguments, given, strict=True):
             if argument.arg not in source.types:
                 text = f"an argument without a type; write `{argument.arg}: Vec6`, `float` or the class of a record"
                 raise source.refusal(source.tree.lineno, f"def {function.__name__}", text)
             fitting = c.parameter(printed.c_name(argument.arg), source.types[argument.arg], value)
             if fitting is None:
-                text = f"`{c.described(value)}` where `{function.__name__}` takes `{ast.unparse(argument)}`"
-                raise Untyped(text)
+                raise Untyped(f"`{c.described(value)}` where `{function.__name__}` takes `{ast.unparse(argument)}`")
             parameters += (fitting,)
-            if isinstance(value, Array) and source.types[argument.arg] is np.ndarray:
-                free.append(value.shape)
         key = function, parameters
         if key not in self._signatures:
             name = function.__name__.strip("_")
             if self._owners.setdefault(name, function) is not function or name in RESERVED:
                 name = f"{function.__module__.rsplit('.')[-1]}_{name}"
-            name += "".join(f"_{'x'.join(map(str, shape))}" for shape in dict.fromkeys(free))
+            types = zip(parameters, (source.types[argument.arg] for argument in arguments), strict=True)
+            free = dict.fromkeys(x.shape for x, kind in types if kind is np.ndarray and isinstance(x, Array))
+            name += "".join(f"_{'x'.join(map(str, shape))}" for shape in free)
             name = _free(name, self._functions, self._tables)
             self._signatures[key], text = printed.text(name, parameters)
             self._functions[name] = text

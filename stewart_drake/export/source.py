@@ -95,7 +95,7 @@ def scope_of(tree: ast.FunctionDef) -> tuple[dict[str, int], set[str]]:
                 if isinstance(name, ast.Name) and (name.id not in inside or isinstance(name.ctx, ast.Store)):
                     line = node.lineno if isinstance(name.ctx, ast.Store) else None
                     places.setdefault(name.id, []).append((path, line))
-            if isinstance(node, (ast.For, ast.While, ast.If)):
+            if isinstance(node, (ast.For, ast.If)):
                 own = {ast.unparse(node.target)} if isinstance(node, ast.For) else set()
                 loops.update(own)
                 visit(node.body, (*path, 2 * k), inside | own)

@@ -27,14 +27,13 @@ class Statements(Expressions):
         self.statements(tree.body)
         code, heads, written = re.sub(r"/\*.*?\*/", "", "\n".join(self.lines), flags=re.DOTALL), [], set()
         for k, (argument, value) in enumerate(zip(map(self.c_name, arguments), parameters, strict=True)):
-            if isinstance(value, Scalar):
-                heads.append(f"{value.kind} {argument}")
-            else:
-                struct = isinstance(value, Struct) and f"struct {self.program.struct(value.of)} *{argument}"
-                constant = "" if argument in self.written else "const "
-                heads.append(constant + (struct or value.declared(argument)))  # type: ignore[union-attr]
-            if argument in self.written:
-                written.add(k)
+            head = f"{value.kind} {argument}" if isinstance(value, Scalar) else ""
+            if isinstance(value, (Array, Struct)):
+                head = "" if argument in self.written else "const "
+                is_array = isinstance(value, Array)
+                head += value.declared(argument) if is_array else f"struct {self.program.struct(value.of)} *{argument}"
+            heads.append(head)
+            written |= {k} if argument in self.written else set()
             if not re.search(rf"\b{argument}\b", code):
                 self.top.append(f"    (void){argument};")
         head = f"static {self.program.result(self.result)} {name}({', '.join(heads) or 'void'})"
@@ -58,7 +57,7 @@ class Statements(Expressions):
                 method(node)
             except Untyped as error:
                 raise self.source.refusal(node.lineno, ast.unparse(node).splitlines()[0], str(error)) from None
-            if not isinstance(node, (ast.For, ast.While, ast.If)):
+            if not isinstance(node, (ast.For, ast.If)):
                 self.line = max(self.line, node.end_lineno or 0)
 
     def _block(self, head: str, body: Sequence[ast.stmt]) -> None:
@@ -87,12 +86,6 @@ class Statements(Expressions):
             self._block(f"}} else if ({test.text})", node.body)
         if node.orelse:
             self._block("} else", node.orelse)
-        self.emit("}")
-
-    def _while(self, node: ast.While) -> None:
-        if ast.unparse(node.test) != "True" or node.orelse:
-            raise Untyped("a loop with a condition; write `while True` and `break`")
-        self._block("while (true)", node.body)
         self.emit("}")
 
     def _for(self, node: ast.For) -> None:
@@ -124,10 +117,8 @@ class Statements(Expressions):
         value = TupleType(()) if node.value is None else self.value(node.value)
         if not isinstance(value, TupleType):
             value = TupleType((self.scalar(value),))
-        kinds = tuple(item.kind for item in value.items)
-        if len(kinds) != len(self.result) or any(
-            wider(*pair) != pair[0] for pair in zip(self.result, kinds, strict=True)
-        ):
+        kinds = tuple(self.scalar(item).kind for item in value.items)
+        if len(kinds) != len(self.result) or tuple(map(wider, kinds, self.result)) != self.result:
             raise Untyped(f"a result of other types than `{ast.unparse(self.source.tree.returns or node)}`")
         if len(kinds) < 2 or (value.call and kinds == self.result):
             text = value.call or "".join(item.text for item in value.items)
@@ -147,20 +138,18 @@ class Statements(Expressions):
         self._store(node.target, self.value(node.value or node.target))
 
     def _unpack(self, targets: ast.Tuple, given: ast.expr) -> None:
-        items: list[Value] = [self.value(item) for item in given.elts] if isinstance(given, ast.Tuple) else []
-        if not items:
-            value = self.value(given)
-            if not isinstance(value, TupleType):
-                raise Untyped("an assignment to several names of what is no tuple")
-            items = list(self.named(value, "result"))
+        value = self.value(given)
+        if not isinstance(value, TupleType):
+            raise Untyped("an assignment to several names of what is no tuple")
+        items = list(self.named(value, "result"))
         # All of the right side comes first: what an assignment before may change is kept.
         names, places = set[str](), False
         for k, (target, item) in enumerate(zip(targets.elts, items, strict=True)):
             text = item.text if isinstance(item, Scalar) and isinstance(given, ast.Tuple) else ""
             if names.intersection(re.findall(r"\w+", text)) or (places and re.search(r"[\[>]", text)):
                 kept = self.fresh("kept")
-                self.emit(f"const {item.kind} {kept} = {text};")  # type: ignore[union-attr]
-                items[k] = Scalar(item.kind, kept)  # type: ignore[union-attr]
+                self.emit(f"const {item.kind} {kept} = {text};")
+                items[k] = Scalar(item.kind, kept)
             names |= {self.c_name(last_name(target))}
             places = places or not isinstance(target, ast.Name)
         for target, item in zip(targets.elts, items, strict=True):
@@ -203,12 +192,9 @@ class Statements(Expressions):
             self.values[name] = value._replace(base=text, start="0")
         elif isinstance(value, Local):
             self.values[name] = self.made(value, text)
-        elif isinstance(value, TupleType) and value.call:
+        elif isinstance(value, TupleType):
             self.taken.discard(text)
             self.values[name] = TupleType(self.named(value, text))
-        elif isinstance(value, TupleType):
-            self.emit(f"const double {text}[] = {{{', '.join(item.text for item in value.items)}}};")
-            self.values[name] = Array("double", text, (len(value.items),), root=None)
         else:  # A record in another one.
             self.values[name] = value
 

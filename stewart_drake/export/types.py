@@ -99,9 +99,9 @@ class Struct(NamedTuple):
 
 
 class TupleType(NamedTuple):
-    """Several numbers; `call` is the text of the call that they are the result of, if any."""
+    """Several values; `call` is the text of the call that they are the result of, if any."""
 
-    items: tuple[Scalar, ...]
+    items: tuple[Any, ...]
     call: str = ""
 
 
@@ -151,12 +151,10 @@ def wider(*kinds: str) -> str:
 def described(value: Value) -> str:
     """A value's type, for messages."""
     if isinstance(value, Scalar):
-        return next((kind.__name__ for kind, text in NUMBERS.items() if text == value.kind), "None")
+        return "float" if value.kind == "double" else value.kind
     if isinstance(value, Array):
         return f"array {value.shape}"
-    return (
-        value.of.kind.__name__ if isinstance(value, Struct) else "tuple" if isinstance(value, TupleType) else "object"
-    )
+    return value.of.kind.__name__ if isinstance(value, Struct) else type(value).__name__
 
 
 def struct_type(layout: np.dtype, base: Any = Record) -> StructType:
@@ -191,8 +189,6 @@ def parameter(name: str, annotation: Any, given: Value) -> Value | None:
 def result_kinds(annotation: Any) -> tuple[str, ...]:
     """Types in C of the numbers that a function returns, by its annotation."""
     kinds = get_args(annotation) if get_origin(annotation) is tuple else (annotation,)
-    if kinds in ((None,), (type(None),)):
-        return ()
-    if not all(kind in NUMBERS for kind in kinds):
+    if annotation is not type(None) and not all(kind in NUMBERS for kind in kinds):
         raise Untyped("a result that is no number; let the function fill its last argument")
-    return tuple(NUMBERS[kind] for kind in kinds)
+    return tuple(NUMBERS[kind] for kind in kinds if kind in NUMBERS)

@@ -117,7 +117,7 @@ def several(values: Vec6, state: LawState) -> None:
     both = counted(state)
     if both[1] == 1:
         state.out[4] = both[0] + TABLE[0]
-    while True:
+    for _ in range(9):
         state.out[5] += 1.0
         if state.out[5] > abs(values[5]):
             break
@@ -203,12 +203,12 @@ def wrong_size(values: Vec6, state: LawState) -> None:
 
 @njit
 def column(values: Vec6, state: LawState) -> None:
-    record(state).out[0] = last(record(state).matrix[:, 0])
+    record(state).out[0] = values[0] + last(record(state).matrix[:, 0])
 
 
 @njit
 def other_field(values: Vec6, state: LawState) -> None:
-    record(state).out[0] = record(state).outs[0]
+    record(state).out[0] = values[0] + record(state).outs[0]
 
 
 @njit
