@@ -8,7 +8,7 @@ import numpy as np
 
 from stewart_drake.base.config import NotNegative, Period, Positive
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat6x1, TickResult, Vec6, Vec12, Vec18, record
+from stewart_drake.base.records import TickResult, Vec6, Vec12, Vec18, record
 from stewart_drake.control.base import (
     AT_REFERENCE,
     DERIVATIVE,
@@ -25,20 +25,18 @@ from stewart_drake.control.base import (
     saturation_params,
 )
 from stewart_drake.loop.part import LoopContext, Part
-from stewart_drake.mechanics.dynamics_laws import motion_torque, static_torque, task_inertia
+from stewart_drake.mechanics.dynamics_laws import motion_torque, multiply_by_crank_inertia, static_torque
 from stewart_drake.mechanics.kinematics_laws import (
     OK,
     PARALLEL,
     UNREACHABLE,
     Legs,
     Robot,
-    crank_jacobian,
     crank_rates,
     legs_at,
     robot_record,
     twist_of,
 )
-from stewart_drake.mechanics.linear_algebra import multiply, solve
 
 # --- PID of the cranks -----------------------------------------------------------------------------------------------
 
@@ -197,31 +195,12 @@ def pid_tick(
         if params.sticking > 0.0:
             angle = np.arctan2(legs.sine[i], legs.cosine[i])
             _update_stick_torque(params, coulomb_uncertainty[i], i, angle, angle - error, target_rates[i], state)
-    if params.by_robot == 1.0 and not _through_inertia(robot, target, feedback):
+    if params.by_robot == 1.0 and not multiply_by_crank_inertia(robot, target, feedback):
         return AT_REFERENCE + PARALLEL, -1, 0.0
     for i in range(6):
         wanted[i] += state.stick_torque[i] * state.direction[i] - feedback[i, 0]
     state.ticks += 1.0
     return limit_and_integrate(params, wanted, integral_error, True, state.torque[:], integral)
-
-
-@njit
-def _through_inertia(robot: Robot, legs: Legs, column: Mat6x1) -> bool:
-    """Multiplies a column (6, 1) by (J M^-1 J')^-1 = J'^-1 M J^-1, in place; False at a singularity."""
-    jacobian, transposed, inertia, torque = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 1))
-    crank_jacobian(legs, jacobian)
-    task_inertia(robot, legs, inertia)
-    for i in range(6):
-        for k in range(6):
-            transposed[k, i] = jacobian[i, k]
-    if solve(jacobian, column) == 0.0:
-        return False
-    multiply(inertia, column, torque)
-    if solve(transposed, torque) == 0.0:
-        return False
-    for i in range(6):
-        column[i, 0] = torque[i, 0]
-    return True
 
 
 @njit

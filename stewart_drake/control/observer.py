@@ -33,11 +33,11 @@ from stewart_drake.control.estimator import (
 from stewart_drake.loop.part import HEALTHY, LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
-from stewart_drake.mechanics.dynamics_laws import forward_dynamics, task_inertia
+from stewart_drake.mechanics.dynamics_laws import forward_dynamics, multiply_by_crank_inertia
 from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics import pose_jacobian
 from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, SERIAL, UNREACHABLE, Legs, Robot, dot, legs_at
-from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, multiply, set_to, solve, spectral_factor
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, set_to, solve, spectral_factor
 
 SMALLEST_NOISE = 1e-5  # [rad] least noise of readings in the observer: no model is more accurate.
 ARRIVED = 6.0  # Standard deviations of a reading within which a crank is at its target, whatever its friction.
@@ -340,7 +340,7 @@ def _rests_at_target(
 @njit
 def _look_ahead(robot: Robot, params: ObserverParams, legs: Legs, state: ObserverState) -> TickResult:
     """The rest of a tick: predictions for now and for the time of its command, and the disturbance torque then."""
-    predicted, inertia = state.predicted, np.empty((6, 6))
+    predicted, torque = state.predicted, np.empty((6, 1))
     copy_to(predicted[:], state.read[:])
     for row in range(int(params.ahead) + 1):
         if row > 0:
@@ -356,20 +356,11 @@ def _look_ahead(robot: Robot, params: ObserverParams, legs: Legs, state: Observe
     bad = legs_at(robot, predicted[:6], legs)
     if bad >= 0:
         return SERIAL, bad, legs.reach_margin[bad]
-    # T = -J^-T M J^-1 (disturbance).
-    task_inertia(robot, legs, inertia)
-    lines, transposed = legs.line.copy(), np.empty((6, 6))
-    twist, wrench = np.empty((6, 1)), np.empty((6, 1))
     for i in range(6):
-        twist[i, 0] = legs.lever[i] * state.disturbance[i]
-        for k in range(6):
-            transposed[k, i] = legs.line[i, k]
-    if solve(lines, twist) == 0.0:
+        torque[i, 0] = -state.disturbance[i]
+    if not multiply_by_crank_inertia(robot, legs, torque):
         return PARALLEL, -1, 0.0
-    multiply(inertia, twist, wrench)
-    solve(transposed, wrench)
-    for i in range(6):
-        state.disturbance_torque[i] = -legs.lever[i] * wrench[i, 0]
+    copy_to(state.disturbance_torque[:], torque[:, 0])
     return OK, -1, 0.0
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat3, Mat6, Vec6, Vec12
+from stewart_drake.base.records import Mat3, Mat6, Mat6x1, Vec6, Vec12
 from stewart_drake.mechanics.kinematics_laws import (
     Legs,
     Robot,
@@ -24,7 +24,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     turned,
     twist_of,
 )
-from stewart_drake.mechanics.linear_algebra import solve
+from stewart_drake.mechanics.linear_algebra import multiply, solve
 
 
 @njit
@@ -254,4 +254,24 @@ def pose_acceleration_map(robot: Robot, legs: Legs, pose: Vec6, out: Mat6) -> bo
     if solve(inertia, out) == 0.0:
         return False
     euler_rates_of_columns(pose[:3], out)
+    return True
+
+
+@njit
+def multiply_by_crank_inertia(robot: Robot, legs: Legs, column: Mat6x1) -> bool:
+    """Multiplies by the inertia at the cranks, J'^-1 M J^-1 [kg m^2], in place; False at a parallel singularity."""
+    lines, transposed = legs.line.copy(), np.empty((6, 6))
+    inertia, wrench = np.empty((6, 6)), np.empty((6, 1))
+    for i in range(6):
+        column[i, 0] *= legs.lever[i]
+        for k in range(6):
+            transposed[k, i] = legs.line[i, k]
+    task_inertia(robot, legs, inertia)
+    if solve(lines, column) == 0.0:
+        return False
+    multiply(inertia, column, wrench)
+    if solve(transposed, wrench) == 0.0:
+        return False
+    for i in range(6):
+        column[i, 0] = legs.lever[i] * wrench[i, 0]
     return True

@@ -105,14 +105,7 @@ def crank_motion(
 
 @njit
 def _accelerations(
-    robot: Robot,
-    legs: Legs,
-    twist: Vec6,
-    gravity: float,
-    torque: Vec6,
-    wrench: Vec6,
-    jacobian: Mat6,
-    out: Matrix,
+    robot: Robot, legs: Legs, twist: Vec6, gravity: float, torque: Vec6, wrench: Vec6, jacobian: Mat6, out: Matrix
 ) -> None:
     """Acceleration under torques and a wrench in the last column of `out` (6, 1 or 7), with M^-1 J' before it if 7."""
     inertia, load, crank_torque, still, last = np.empty((6, 6)), np.empty(6), np.empty(6), np.zeros(6), out.shape[1] - 1
@@ -316,14 +309,7 @@ def _add_viscous_friction(friction: Friction, legs: Legs, twist: Vec6, torque: V
 
 @njit
 def motion_rate(
-    robot: Robot,
-    friction: Friction,
-    gravity: float,
-    legs: Legs,
-    motion: Vec12,
-    torque: Vec6,
-    wrench: Vec6,
-    out: Vec12,
+    robot: Robot, friction: Friction, gravity: float, legs: Legs, motion: Vec12, torque: Vec6, wrench: Vec6, out: Vec12
 ) -> tuple[int, float]:
     """Time derivative of pose and pose rate in Euler angles, with viscous friction only, for other integrators.
 

@@ -35,11 +35,7 @@ def smoothstep(u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def bump(
-    x: np.ndarray,
-    begin: float | np.ndarray,
-    top: float | np.ndarray,
-    fall: float | np.ndarray,
-    end: float | np.ndarray,
+    x: np.ndarray, begin: float | np.ndarray, top: float | np.ndarray, fall: float | np.ndarray, end: float | np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Smooth step from 0 at `begin` to 1 at `top`, and from 1 at `fall` to 0 at `end`; with two derivatives."""
     rising = x < top
