@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import inspect
 import io
+import textwrap
 import tokenize
 from collections.abc import Sequence
 from functools import lru_cache
@@ -32,44 +33,41 @@ class Source(NamedTuple):
         return ConfigurationError(f"{self.file}:{line}", given, f"{ALLOWED}; this is {reason}")
 
 
-@lru_cache(maxsize=256)
-def _parsed(path: str) -> tuple[ast.Module, dict[int, str], dict[int, str]]:
-    """Syntax of a file, and its comments by line: those on lines of their own, and those after something."""
-    text = Path(path).read_text(encoding="utf-8")
-    own: dict[int, str] = {}
+@lru_cache(maxsize=1024)
+def _parsed(thing: Any) -> tuple[ast.stmt, dict[int, str], dict[int, str]]:
+    """Syntax of a function or class, and its comments by line: those on lines of their own, and those beside code."""
+    source, start = inspect.getsourcelines(thing)
+    text = textwrap.dedent("".join(source))
+    alone: dict[int, str] = {}
     beside: dict[int, str] = {}
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
         if token.type == tokenize.COMMENT:
-            comments = own if token.line.lstrip().startswith("#") else beside
-            comments[token.start[0]] = token.string.lstrip("# ")
-    return ast.parse(text), own, beside
+            comments = alone if token.line.lstrip().startswith("#") else beside
+            comments[token.start[0] + start - 1] = token.string.lstrip("# ")
+    return ast.increment_lineno(ast.parse(text), start - 1).body[0], alone, beside
 
 
-@lru_cache(maxsize=512)
 def source_of(function: Any) -> Source:
     """The source of a law, compiled or not."""
     function = getattr(function, "py_func", function)
-    if not inspect.isfunction(function):
-        raise Untyped(f"{getattr(function, '__name__', function)}, which is no function of the package's laws")
-    path, line = function.__code__.co_filename, function.__code__.co_firstlineno
-    tree, comments, _ = _parsed(path)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef) and line in (node.lineno, *(x.lineno for x in node.decorator_list[:1])):
-            inside = Path(path).is_relative_to(_ROOT)
-            file = str(Path(path).relative_to(_ROOT)) if inside else path
-            return Source(file, node, comments, get_type_hints(function, include_extras=True))
-    raise Untyped(f"{function.__name__}, which has no source")
+    try:
+        tree, comments, _ = _parsed(function)
+    except (OSError, TypeError, SyntaxError):
+        tree = ast.Pass()
+    if not isinstance(tree, ast.FunctionDef):
+        raise Untyped(f"{getattr(function, '__name__', function)}, which is no function with a source")
+    path = Path(inspect.getfile(function))
+    file = str(path.relative_to(_ROOT) if path.is_relative_to(_ROOT) else path)
+    return Source(file, tree, comments, get_type_hints(function, include_extras=True))
 
 
 def field_comments(kind: type[Record]) -> dict[str, str]:
     """The comments beside the fields of a record."""
     comments: dict[str, str] = {}
     for base in reversed(kind.__mro__[:-1]):
-        tree, _, beside = _parsed(inspect.getfile(base))
-        for node in tree.body:
-            if isinstance(node, ast.ClassDef) and node.name == base.__name__:
-                fields = [field for field in node.body if isinstance(field, ast.AnnAssign)]
-                comments |= {ast.unparse(field.target): beside.get(field.lineno, "") for field in fields}
+        tree, _, beside = _parsed(base)
+        fields = [field for field in ast.walk(tree) if isinstance(field, ast.AnnAssign)]
+        comments |= {ast.unparse(field.target): beside.get(field.lineno, "") for field in fields}
     return comments
 
 
