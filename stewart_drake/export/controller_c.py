@@ -20,13 +20,10 @@ from stewart_drake.scenario.assembly import ControlSide, control_side
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.controller import Controller, controller_parts
 
-REPLAYED = 1.0
-"""[s] of readings in `replay.csv`, or the whole motion where it is shorter."""
 REASONS = ", ".join(f'"{reason}"' for reason in FAILURES)
-SWING = 1e-4
-"""[rad, m] by which those readings are off the reference, so that there is something to control."""
-MOST_ROWS = 100_000
-"""Of a reference's table."""
+REPLAYED = 1.0  # [s] of readings in `replay.csv`, or the whole motion where it is shorter.
+SWING = 1e-4  # [rad, m] by which those readings are off the reference, so that there is something to control.
+MOST_ROWS = 100_000  # Of a reference's table.
 
 
 def c_name(name: str) -> str:

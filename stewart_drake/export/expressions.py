@@ -24,8 +24,7 @@ RESERVED = frozenset(
     " restrict return short signed sizeof static struct switch typedef union unsigned void volatile while bool true"
     " false main loop y0 y1 yn j0 j1 jn gamma exp log pow sqrt fabs abs min max".split()
 )
-FIELDS = ("first", "second", "third", "fourth")
-"""Of the struct in which a function returns several numbers."""
+FIELDS = ("first", "second", "third", "fourth")  # Of the struct in which a function returns several numbers.
 BINARY = {ast.Add: ("+", c.SUM), ast.Sub: ("-", c.SUM), ast.Mult: ("*", c.PRODUCT), ast.Div: ("/", c.PRODUCT)}
 _COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 _MATH: dict[Any, str] = {np.arcsin: "asin", np.arccos: "acos", np.arctan2: "atan2", np.abs: "fabs", abs: "fabs"}
@@ -34,19 +33,13 @@ _MATH |= {getattr(np, name): name for name in ("minimum", "maximum", "isfinite",
 
 
 class Expressions:
-    """A function that is being printed.
-
-    Attributes:
-        values: Variables by their names in Python.
-        written: Arguments that are changed.
-        lines: What has been printed, with the marks of `unless_written`.
-    """
+    """A function that is being printed."""
 
     def __init__(self, program: Program, function: Any, source: Source) -> None:
         self.program, self.function, self.source = program, function, source
-        self.values: dict[str, Value] = {}
-        self.written: set[str] = set()
-        self.lines: list[str] = []
+        self.values: dict[str, Value] = {}  # Variables by their names in Python.
+        self.written: set[str] = set()  # Arguments that are changed.
+        self.lines: list[str] = []  # What has been printed, with the marks of `unless_written`.
         self.indent, self.line = "    ", source.tree.lineno
         self.scope, self.leaking = scope_of(source.tree)
         nodes = list(ast.walk(source.tree))
@@ -241,10 +234,8 @@ class Expressions:
         return Scalar("bool", f" {sign} ".join(texts), binding)
 
     def _compare_value(self, node: ast.Compare) -> Value:
-        values, signs = (
-            [self.scalar(x) for x in (node.left, *node.comparators)],
-            [_COMPARED.get(type(x)) for x in node.ops],
-        )
+        values = [self.scalar(part) for part in (node.left, *node.comparators)]
+        signs = [_COMPARED.get(type(op)) for op in node.ops]
         if None in signs:
             raise Untyped("a comparison of this kind")
         if signs == ["=="] and all(x.kind == "int" and x.value is not None for x in values):

@@ -45,16 +45,16 @@ class LoopSource:
         self.numbers, self.places, self._members = 0, dict[str, tuple[int, int]](), list[str]()
         self._initial, self._runs = list[str](), list[str]()
         self._calls: dict[bool, list[str]] = {False: [], True: []}
-        self.signals = {name: _numbers(f"loop->{name}", size) for name, size in outside.items()} | dict(inside)
+        self.signals = {name: Array("double", f"loop->{name}", (size,)) for name, size in outside.items()}
+        self.signals |= inside
         self._member("steps", "double steps", np.zeros(1))
-        given_sizes = {name: array.size for name, array in given.items()}
-        for name, size in {"failure": 2, **outside, **given_sizes}.items():
+        for name, size in {"failure": 2, **outside, **{name: x.size for name, x in given.items()}}.items():
             self._member(name, f"double {name}[{size}]", np.zeros(size))
         for part in parts:
             for name in part.outputs:
                 kind, place = part.initial.dtype[name], f"loop->{part.name}.{name}"
                 base = f"((double *)&{place})" if kind.names else place if kind.shape else f"(&{place})"
-                self.signals[part.signal(name)] = _numbers(base, part.size(name))
+                self.signals[part.signal(name)] = Array("double", base, (part.size(name),))
         for k, part in enumerate(parts):
             self.add(k, part)
             steps = steps_per(f"{part.name}.period", part.period or period, step)
@@ -64,9 +64,8 @@ class LoopSource:
 
     def _member(self, name: str, declaration: str, initial: np.ndarray) -> None:
         """A member of the record, with the numbers with which it begins."""
-        numbers = initial.view(np.float64).size
-        self.places[name] = self.numbers, numbers
-        self.numbers += numbers
+        self.places[name] = self.numbers, initial.view(np.float64).size
+        self.numbers += self.places[name][1]
         self._members.append(f"    {declaration};")
         if np.any(initial.view(np.float64)):
             text = filled(initial) if initial.dtype.names else braced(initial)
@@ -107,8 +106,7 @@ class LoopSource:
             target = f"loop->{part.name}.health"
             lines = [f"    const struct {self.program.struct(of)} before = loop->{part.name};"]
             healthy = [f"        {target}[{n}] = {value};" for n, value in enumerate(HEALTHY)]
-            note = "/* The state is as it was; the safety layer gets the cause. */"
-            undo = [f"    {note}", f"    loop->{part.name} = before;"]
+            undo = ["    /* The safety layer gets the cause. */", f"    loop->{part.name} = before;"]
         lines.append(wrapped(f"    const {self.program.result(kinds)} result = {call};"))
         lines += ["    if (result.first == 0) {", *healthy, "        return 0;", "    }", *undo]
         causes, of_leg = np.ones(_STATUSES, dtype=int), np.zeros(_STATUSES, dtype=int)
@@ -138,7 +136,7 @@ class LoopSource:
             return self._input(part, name)
         if is_variable:
             self._member(member, f"double {member}[{value.size}]", value)
-            return _numbers(f"loop->{member}", value.size)
+            return Array("double", f"loop->{member}", (value.size,))
         return self.program.table(member, value)
 
     def _input(self, part: Part, name: str) -> Array:
@@ -147,7 +145,7 @@ class LoopSource:
             return self.signals[source]
         for member, array in self._given.items():
             if array is source:
-                return _numbers(f"loop->{member}", array.size)
+                return Array("double", f"loop->{member}", (array.size,))
         return self.program.table(f"no_{name}" if not np.any(source) else f"{part.name}_{name}", source)
 
     def text(self) -> str:
@@ -159,7 +157,3 @@ class LoopSource:
         words["SIGNALS"] = "\n".join(f'    {{"{name}", {signal.shape[0]}}},' for name, signal in signals)
         words["POINTERS"] = "\n".join(f"    case {k}: return {x.pointer};" for k, (_, x) in enumerate(signals))
         return from_template("loop.c", words).replace("\n\n    return status", "\n    return status")
-
-
-def _numbers(base: str, size: int) -> Array:
-    return Array("double", base, (size,))

@@ -1,9 +1,8 @@
 """Compiled laws as C99: a translation of their source, function by function, that people can read.
 
-The laws are a small subset of Python, see docs/export.md: numbers, arrays, records, and functions of these, with the
-types of their annotations. Names stay, docstrings and comments too. A function whose arrays have no size in its
-annotations is printed once for each size. Numbers come out as numba computes them: in the same order, with its rules
-for powers, `min` and NaN.
+The laws are a small subset of Python, see docs/export.md, with the types of their annotations. Names, docstrings and
+comments stay. A function whose arrays have no size in its annotations is printed once for each size. Numbers come out
+as numba computes them: in the same order, with its rules for powers, `min` and NaN.
 """
 
 from __future__ import annotations
@@ -117,12 +116,11 @@ class Program:
             raise Untyped(f"a call of `{function.__name__}` with {len(given)} arguments; give all of {len(arguments)}")
         parameters: tuple[Value, ...] = ()
         for argument, value in zip(arguments, given, strict=True):
-            if argument.arg not in source.types:
-                text = f"an argument without a type; write `{argument.arg}: Vec6`, `float` or the class of a record"
-                raise source.refusal(source.tree.lineno, f"def {function.__name__}", text)
-            fitting = c.parameter(printed.c_name(argument.arg), source.types[argument.arg], value)
+            fitting = c.parameter(printed.c_name(argument.arg), source.types.get(argument.arg), value)
             if fitting is None:
-                raise Untyped(f"`{c.described(value)}` where `{function.__name__}` takes `{ast.unparse(argument)}`")
+                hint = "" if argument.annotation else f"; write its type, such as `{argument.arg}: Vec6`"
+                wanted = f"`{function.__name__}` takes `{ast.unparse(argument)}`{hint}"
+                raise Untyped(f"`{c.described(value)}` where {wanted}")
             parameters += (fitting,)
         key = function, parameters
         if key not in self._signatures:
@@ -142,7 +140,7 @@ class Program:
         names = "\n".join(f"#define {name} {number(value).text}" for name, value in self._defined.items())
         helpers = [text for name, text in _HELPERS.items() if name in self._helpers]
         blocks = [names, *self._types.values(), *self._tables.values(), *helpers, *self._functions.values()]
-        return "\n\n".join(filter(None, blocks)) + "\n"
+        return "\n\n".join(filter(None, blocks))
 
 
 def _free(hint: str, *taken: Any) -> str:

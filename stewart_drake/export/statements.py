@@ -47,8 +47,8 @@ class Statements(Expressions):
     def statements(self, body: Sequence[ast.stmt]) -> None:
         """Statements, with the comments before them."""
         for node in body:
-            for line in range(self.line + 1, node.lineno):
-                self.lines += comment(self.source.comments.get(line, ""), self.indent).splitlines()
+            notes = [self.source.comments.get(line, "") for line in range(self.line + 1, node.lineno)]
+            self.lines += comment("\n".join(filter(None, notes)), self.indent).splitlines()
             self.line = node.lineno
             method = getattr(self, f"_{type(node).__name__.lower()}", None)
             try:

@@ -13,10 +13,9 @@ import numpy as np
 
 from stewart_drake.base.records import Record
 
+# How strongly a C expression binds.
 ATOM, UNARY, PRODUCT, SUM, RELATION, EQUALITY, CONJUNCTION, DISJUNCTION, CHOICE = range(9, 0, -1)
-"""How strongly a C expression binds."""
-NUMBERS: dict[Any, str] = {bool: "bool", int: "int", float: "double"}
-"""Types of numbers in C, the narrower ones first."""
+NUMBERS: dict[Any, str] = {bool: "bool", int: "int", float: "double"}  # Types in C, the narrower ones first.
 
 
 class Untyped(Exception):
@@ -120,8 +119,7 @@ class Local(NamedTuple):
 
 
 Value = Scalar | Array | Struct | TupleType | Constant | Local
-Signature = tuple[str, tuple[str, ...], set[int]]
-"""A printed function: its name, types of its results, and which arguments it writes."""
+Signature = tuple[str, tuple[str, ...], set[int]]  # Name of a function, types of its results, arguments that it writes.
 
 
 def number(value: Any) -> Scalar:
@@ -169,10 +167,7 @@ def struct_type(layout: np.dtype, base: Any = Record) -> StructType:
 
 
 def parameter(name: str, annotation: Any, given: Value) -> Value | None:
-    """A parameter as its function has it: of the annotation's type, with the argument's sizes where that has none.
-
-    None where the argument does not fit.
-    """
+    """A parameter of the annotated type, with the argument's sizes where that has none; None if it does not fit."""
     if isinstance(given, Scalar) and annotation in NUMBERS:
         kind = NUMBERS[annotation]
         return Scalar(kind, name) if wider(kind, given.kind) == kind else None

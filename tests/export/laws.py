@@ -225,6 +225,6 @@ REFUSED = {
     wrong_size: r"`array \(6,\)` where `last` takes `values: Vec3`",
     column: "copy it in a loop",
     other_field: "no field `outs` of `LawState`",
-    no_types: "write `values: Vec6`",
+    no_types: "write its type, such as `values: Vec6`",
 }
 """What is refused, and what its message says."""
