@@ -26,6 +26,7 @@ from stewart_drake.control.ball_joints import BallJoints
 from stewart_drake.control.learnt_parameters import first_intervals
 from stewart_drake.control.regression_records import Learnt, Sample
 from stewart_drake.control.square_root_filter import N_MOTOR, N_SHARED
+from stewart_drake.logs.signals import SIGNALS
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import Legs
 from stewart_drake.scenario.assembly import context_of
@@ -248,6 +249,16 @@ def test_any_smoothing_from_a_period_on_has_a_kernel(periods):
     spread = (np.arange(-law.HALF, law.HALF + 1) ** 2 * kernel).sum()
     assert np.sqrt(spread) >= 0.95
     assert kernel[0] < 0.14 * kernel.max()  # Two standard deviations off at least.
+
+
+def test_columns_of_what_was_learnt_are_the_fields_of_its_record():
+    rows = Learnt.of(np.arange(40.0).reshape(2, 20))
+    columns = [name.rpartition("_")[0] or name for name in SIGNALS["learnt"].components]
+    assert list(dict.fromkeys(columns)) == list(Learnt.fields)
+    for name in Learnt.fields:
+        at = np.flatnonzero([column == name for column in columns])
+        np.testing.assert_array_equal(np.reshape(rows[name], (2, -1)), np.arange(40.0).reshape(2, 20)[:, at])
+    assert Learnt.of(np.arange(20.0)).delay == 1.0
 
 
 # --- the law ---
