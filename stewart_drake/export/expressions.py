@@ -13,17 +13,12 @@ import numpy as np
 
 from stewart_drake.base.records import record
 from stewart_drake.export import types as c
-from stewart_drake.export.source import Source, scope_of
+from stewart_drake.export.source import Source, last_name
 from stewart_drake.export.types import Array, Constant, Local, Scalar, Struct, TupleType, Untyped, Value, number, wider
 
 if TYPE_CHECKING:
     from stewart_drake.export.program import Program
 
-RESERVED = frozenset(
-    "auto break case char const continue default do double else enum extern float for goto if inline int long register"  # noqa: SIM905
-    " restrict return short signed sizeof static struct switch typedef union unsigned void volatile while bool true"
-    " false main loop y0 y1 yn j0 j1 jn gamma exp log pow sqrt fabs abs min max".split()
-)
 FIELDS = ("first", "second", "third", "fourth")  # Of the struct in which a function returns several numbers.
 BINARY = {ast.Add: ("+", c.SUM), ast.Sub: ("-", c.SUM), ast.Mult: ("*", c.PRODUCT), ast.Div: ("/", c.PRODUCT)}
 _COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
@@ -41,17 +36,10 @@ class Expressions:
         self.written: set[str] = set()  # Arguments that are changed.
         self.lines: list[str] = []  # What has been printed, with the marks of `unless_written`.
         self.indent, self.line = "    ", source.tree.lineno
-        self.scope, self.leaking = scope_of(source.tree)
-        nodes = list(ast.walk(source.tree))
-        self.avoided = RESERVED | {last_name(node.func).strip("_") for node in nodes if isinstance(node, ast.Call)}
-        self.taken = {self.c_name(node.id) for node in nodes if isinstance(node, ast.Name)} | self.avoided
+        self.c_name, nodes = source.c_name, ast.walk(source.tree)
+        self.taken = {self.c_name(node.id) for node in nodes if isinstance(node, ast.Name)} | source.avoided
 
     # --- names and lines ---
-
-    def c_name(self, name: str) -> str:
-        """A variable's name in C."""
-        name = name.strip("_") or "unused"
-        return f"{name}_" if name in self.avoided else name
 
     def fresh(self, hint: str) -> str:
         """A name that nothing else has."""
@@ -319,8 +307,3 @@ class Expressions:
         if len(kinds) > 1:
             return TupleType(tuple(Scalar(kind, "") for kind in kinds), text)
         return Scalar(kinds[0] if kinds else "void", text)
-
-
-def last_name(node: ast.expr) -> str:
-    """A name without what is before its last dot."""
-    return node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else ""

@@ -128,7 +128,7 @@ def _library(own: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
             (folder / file).write_text(text, encoding="utf-8")
         flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-shared", "-fPIC"]
         names = [file for file in sources if file.endswith(".c")]
-        command = [compiler, *flags, "-o", library, *names, "-lm"]
+        command = [compiler, *flags, "-o", str(library), *names, "-lm"]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
         if done.returncode != 0:
             raise ConfigurationError("C compiler", compiler, f"one that compiles C99; {done.stderr[:500]}")

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from stewart_drake.export import types as c
-from stewart_drake.export.expressions import FIELDS, RESERVED
-from stewart_drake.export.source import comment, field_comments, source_of
+from stewart_drake.export.expressions import FIELDS
+from stewart_drake.export.source import RESERVED, comment, field_comments, source_of
 from stewart_drake.export.statements import WIDTH, Statements
 from stewart_drake.export.types import Array, Struct, StructType, Untyped, Value, number
 
@@ -111,12 +111,12 @@ class Program:
     def function(self, function: Any, given: Sequence[Value]) -> c.Signature:
         """A function for arguments like these, printed if it has not been."""
         source, function = source_of(function), getattr(function, "py_func", function)
-        arguments, printed = source.tree.args.args, Statements(self, function, source)
+        arguments = source.tree.args.args
         if len(arguments) != len(given):
             raise Untyped(f"a call of `{function.__name__}` with {len(given)} arguments; give all of {len(arguments)}")
         parameters: tuple[Value, ...] = ()
         for argument, value in zip(arguments, given, strict=True):
-            fitting = c.parameter(printed.c_name(argument.arg), source.types.get(argument.arg), value)
+            fitting = c.parameter(source.c_name(argument.arg), source.types.get(argument.arg), value)
             if fitting is None:
                 hint = "" if argument.annotation else f"; write its type, such as `{argument.arg}: Vec6`"
                 wanted = f"`{function.__name__}` takes `{ast.unparse(argument)}`{hint}"
@@ -131,7 +131,7 @@ class Program:
             free = dict.fromkeys(x.shape for x, kind in types if kind is np.ndarray and isinstance(x, Array))
             name += "".join(f"_{'x'.join(map(str, shape))}" for shape in free)
             name = _free(name, self._functions, self._tables)
-            self._signatures[key], text = printed.text(name, parameters)
+            self._signatures[key], text = Statements(self, function, source).text(name, parameters)
             self._functions[name] = text
         return self._signatures[key]
 

@@ -20,6 +20,13 @@ ALLOWED = "what can be printed as C, see docs/export.md"
 _ROOT = Path(__file__).parents[2]
 
 
+RESERVED = frozenset(
+    "auto break case char const continue default do double else enum extern float for goto if inline int long register"  # noqa: SIM905
+    " restrict return short signed sizeof static struct switch typedef union unsigned void volatile while bool true"
+    " false main loop y0 y1 yn j0 j1 jn gamma exp log pow sqrt fabs abs min max".split()
+)
+
+
 class Source(NamedTuple):
     """A function."""
 
@@ -27,6 +34,14 @@ class Source(NamedTuple):
     tree: ast.FunctionDef
     comments: dict[int, str]  # Those on lines of their own.
     types: dict[str, Any]  # Of arguments and result.
+    scope: dict[str, int]  # Variables that C can declare where they are set first, and the lines of that.
+    leaking: set[str]  # Variables of loops that are used outside of them.
+    avoided: frozenset[str]  # Names that no variable can have.
+
+    def c_name(self, name: str) -> str:
+        """A variable's name in C."""
+        name = name.strip("_") or "unused"
+        return f"{name}_" if name in self.avoided else name
 
     def refusal(self, line: int, given: str, reason: str) -> ConfigurationError:
         """The error of a line that cannot be printed."""
@@ -47,20 +62,28 @@ def _parsed(thing: Any) -> tuple[ast.stmt, dict[int, str], dict[int, str]]:
     return ast.increment_lineno(ast.parse(text), start - 1).body[0], alone, beside
 
 
+@lru_cache(maxsize=1024)
 def source_of(function: Any) -> Source:
     """The source of a law, compiled or not."""
     function = getattr(function, "py_func", function)
     try:
-        tree, comments, _ = _parsed(function)
-    except (OSError, TypeError, SyntaxError):
+        (tree, comments, _), types = _parsed(function), get_type_hints(function, include_extras=True)
+    except (OSError, TypeError, SyntaxError, NameError):
         tree = ast.Pass()
     if not isinstance(tree, ast.FunctionDef):
-        raise Untyped(f"{getattr(function, '__name__', function)}, which is no function with a source")
+        raise Untyped(f"{getattr(function, '__name__', function)}, which is no function with source and types")
     path = Path(inspect.getfile(function))
     file = str(path.relative_to(_ROOT) if path.is_relative_to(_ROOT) else path)
-    return Source(file, tree, comments, get_type_hints(function, include_extras=True))
+    called = {last_name(node.func).strip("_") for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    return Source(file, tree, comments, types, *scope_of(tree), RESERVED | called)
 
 
+def last_name(node: ast.expr) -> str:
+    """A name without what is before its last dot."""
+    return node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else ""
+
+
+@lru_cache(maxsize=1024)
 def field_comments(kind: type[Record]) -> dict[str, str]:
     """The comments beside the fields of a record."""
     comments: dict[str, str] = {}
@@ -100,10 +123,8 @@ def scope_of(tree: ast.FunctionDef) -> tuple[dict[str, int], set[str]]:
                 visit(node.orelse, (*path, 2 * k + 1), inside)
 
     visit(tree.body, (), frozenset())
-    first = {name: found[0] for name, found in places.items()}
-    lines = {
-        name: line
-        for name, (block, line) in first.items()
-        if line is not None and all(path[: len(block)] == block for path, _ in places[name])
-    }
+    lines = {}
+    for name, ((block, line), *others) in places.items():
+        if line is not None and all(path[: len(block)] == block for path, _ in others):
+            lines[name] = line
     return lines, (loops & places.keys()) - {"_"}

@@ -8,8 +8,8 @@ import textwrap
 from collections.abc import Sequence
 
 from stewart_drake.export import types as c
-from stewart_drake.export.expressions import BINARY, Expressions, last_name
-from stewart_drake.export.source import comment
+from stewart_drake.export.expressions import BINARY, Expressions
+from stewart_drake.export.source import comment, last_name
 from stewart_drake.export.types import Array, Constant, Local, Scalar, Struct, TupleType, Untyped, Value, number, wider
 
 WIDTH = 110
@@ -27,12 +27,13 @@ class Statements(Expressions):
         self.statements(tree.body)
         code, heads, written = re.sub(r"/\*.*?\*/", "", "\n".join(self.lines), flags=re.DOTALL), [], set()
         for k, (argument, value) in enumerate(zip(map(self.c_name, arguments), parameters, strict=True)):
-            head = f"{value.kind} {argument}" if isinstance(value, Scalar) else ""
-            if isinstance(value, (Array, Struct)):
-                head = "" if argument in self.written else "const "
-                is_array = isinstance(value, Array)
-                head += value.declared(argument) if is_array else f"struct {self.program.struct(value.of)} *{argument}"
-            heads.append(head)
+            constant = "" if argument in self.written else "const "
+            if isinstance(value, Struct):
+                heads.append(f"{constant}struct {self.program.struct(value.of)} *{argument}")
+            elif isinstance(value, Array):
+                heads.append(constant + value.declared(argument))
+            elif isinstance(value, Scalar):
+                heads.append(f"{value.kind} {argument}")
             written |= {k} if argument in self.written else set()
             if not re.search(rf"\b{argument}\b", code):
                 self.top.append(f"    (void){argument};")
@@ -92,7 +93,7 @@ class Statements(Expressions):
         call = node.iter
         if not isinstance(node.target, ast.Name) or not isinstance(call, ast.Call) or last_name(call.func) != "range":
             raise Untyped("a loop that is not over a `range`")
-        if node.target.id in self.leaking:
+        if node.target.id in self.source.leaking:
             raise Untyped("a loop with a variable that is used outside of it; give that another name")
         limits = [self.scalar(limit) for limit in call.args]
         start, stop, step = (number(0), limits[0], number(1)) if len(limits) == 1 else (*limits, number(1))[:3]
@@ -173,7 +174,7 @@ class Statements(Expressions):
     def _name(self, name: str, value: Value) -> None:
         if name == "_":
             return
-        text, before, here = self.c_name(name), self.values.get(name), self.scope.get(name) == self.line
+        text, before, here = self.c_name(name), self.values.get(name), self.source.scope.get(name) == self.line
         if isinstance(value, (Scalar, Constant)):
             value = self.scalar(value)
             if before is None and not here:
