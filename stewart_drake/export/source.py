@@ -83,7 +83,6 @@ def last_name(node: ast.expr) -> str:
     return node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else ""
 
 
-@lru_cache(maxsize=1024)
 def field_comments(kind: type[Record]) -> dict[str, str]:
     """The comments beside the fields of a record."""
     comments: dict[str, str] = {}
