@@ -212,8 +212,13 @@ def other_field(values: Vec6, state: LawState) -> None:
 
 
 @njit
-def no_types(values, state):
+def no_types(values, state: LawState) -> None:
     record(state).out[0] = values[0]
+
+
+@njit
+def caller(values: Vec6, state: LawState) -> None:
+    no_types(values, state)
 
 
 REFUSED = {
@@ -225,6 +230,6 @@ REFUSED = {
     wrong_size: r"`array \(6,\)` where `last` takes `values: Vec3`",
     column: "copy it in a loop",
     other_field: "no field `outs` of `LawState`",
-    no_types: "write its type, such as `values: Vec6`",
+    caller: "write its type, such as `values: Vec6`",
 }
 """What is refused, and what its message says."""
