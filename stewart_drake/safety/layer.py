@@ -10,7 +10,7 @@ import numpy as np
 
 from stewart_drake.base.errors import FAILURES, SafetyStop
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Record, Vec2, Vec6, Vec12, Vec18, record
+from stewart_drake.base.records import Record, Vec1, Vec2, Vec6, Vec12, Vec18, record
 from stewart_drake.loop.part import HEALTHY, LoopContext, Part
 from stewart_drake.mechanics.dynamics_laws import static_torque
 from stewart_drake.mechanics.friction import Friction
@@ -156,7 +156,7 @@ def _tick(
     command: Vec6,
     measurement: Vec12,
     reference: Vec18,
-    age: np.ndarray,
+    age: Vec1,
     sensor: Vec2,
     controller: Vec2,
     angles: Vec6,
