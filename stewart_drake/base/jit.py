@@ -1,10 +1,7 @@
-"""numba's decorator with one cache that is fresh for all sources, and structured records.
+"""numba's decorator for laws, with one cache that is fresh for all sources.
 
-Laws are compiled functions of one robot or one part. What they take and fill are records: structured arrays of one
-entry, all of it float64. `NUMBA_DISABLE_JIT=1` runs the same source in Python, for a debugger.
-
-A record does not keep its array alive where it is compiled. So scratch memory is made by one law and handed as an array
-to an inner one, which takes its record: never `record(np.empty(1, KIND))`.
+A law is a compiled function of numbers, arrays and `records`. `NUMBA_DISABLE_JIT=1` runs the same source in Python, for
+a debugger.
 """
 
 from __future__ import annotations
@@ -34,42 +31,6 @@ _LAWS: list[Any] = []
 _typeof: Any = numba.typeof
 DISABLED = bool(_CONFIG.DISABLE_JIT)
 """Whether laws run in Python, by `NUMBA_DISABLE_JIT=1`."""
-
-
-def fields(**shapes: int | tuple[int, ...] | np.dtype) -> np.dtype:
-    """Type of a record of float64 numbers: name -> size of a vector, or shape of an array; () for a single number.
-
-    The type of another record is that of a record in it.
-    """
-    return np.dtype([(k, v) if isinstance(v, np.dtype) else (k, np.float64, v) for k, v in shapes.items()])
-
-
-def new_record(kind: np.dtype, options: Any = None, **values: Any) -> np.ndarray:
-    """A structured array (1,) with named values; what is not given is that attribute of the options, or zero.
-
-    An attribute that is None, a limit that is off, is infinite.
-    """
-    result = np.zeros(1, dtype=kind)
-    for name in kind.names or ():
-        if hasattr(options, name) and name not in values:
-            value = getattr(options, name)
-            result[name][:] = np.inf if value is None else value
-    for name, value in values.items():
-        result[name][:] = value
-    return result
-
-
-if _CONFIG.DISABLE_JIT:
-
-    def record(array: Any) -> Any:
-        """The record of a structured array (1,), with its fields as attributes; a view."""
-        return array.view(np.recarray)[0]
-else:
-
-    @numba.njit(inline="always")
-    def record(array: Any) -> Any:
-        """The record of a structured array (1,), with its fields as attributes; a view."""
-        return array[0]
 
 
 def njit(function: _F) -> _F:
