@@ -43,7 +43,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
             "null: what learns is not printed; run with --keep-model FILE, and export with the `model` that it leaves"
         )
         raise ConfigurationError("adaptation.kind", options.adaptation.kind, allowed)
-    own, side, age = c_name(name), control_side(options, split=True), np.zeros(1)
+    prefix, side, age = c_name(name), control_side(options, split=True), np.zeros(1)
     parts = controller_parts(options, side, age)
     outside = {"time": 1, side.reading: side.context.reading, **{source.signal: source.size for source in side.sources}}
     loop = LoopSource(parts, outside, {}, side.context.period, options.reading_period, {"age": age})
@@ -57,7 +57,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
         for n, source in enumerate(side.sources)
     )
     reads_angles, period = side.context.reading == 6, options.reading_period
-    words = {"NAME": own, "UPPER": own.upper(), "SCENARIO": name, "VERSION": __version__, "REASONS": REASONS}
+    words = {"NAME": prefix, "UPPER": prefix.upper(), "SCENARIO": name, "VERSION": __version__, "REASONS": REASONS}
     words |= {"PERIOD": number(period).text, "GRID": number(on_grid(period)).text, "UNIT": side.unit}
     words |= {"TICK": number(side.context.period).text, "READING": str(side.context.reading), "READS": side.reading}
     words |= {"REFERENCE": str(18 * len(side.sources)), "NUMBERS": str(loop.numbers), "GIVEN": given.rstrip()}
@@ -67,7 +67,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
     words |= {"LIMIT": loop.program.table("command_limit", limit).base, "COMMAND": loop.signals[command].pointer}
     words |= {"PARTS": ", ".join(f'"{part.name}"' for part in parts), "LOOP": loop.text().rstrip()}
     words |= {"TABLE": _reference(side, period, ticks)}
-    wanted = {"controller.h": f"{own}.h", "controller.c": f"{own}.c", "reference.c": f"{own}_reference.c"}
+    wanted = {"controller.h": f"{prefix}.h", "controller.c": f"{prefix}.c", "reference.c": f"{prefix}_reference.c"}
     wanted |= {name: name for name in ("main.c", "Makefile", *(["board.c"] if reads_angles else []))}
     files = {file: from_template(template, words) for template, file in wanted.items()}
     return {**files, "replay.csv": _replay(options, side)}

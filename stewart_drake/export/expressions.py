@@ -173,7 +173,7 @@ class Expressions:
     def _index(self, node: ast.expr | None, default: int) -> int:
         value = default if node is None else self.scalar(node).value
         if not isinstance(value, int) or value < 0:
-            raise Untyped("a slice whose ends are computed, or negative; write a loop, or pass its begin")
+            raise Untyped("a slice with ends that are computed, or negative; write a loop, or pass its first index")
         return value
 
     def _tuple_value(self, node: ast.Tuple) -> Value:
@@ -240,7 +240,7 @@ class Expressions:
         yes, no = self.value(node.body), self.value(node.orelse)
         if isinstance(yes, Array) and isinstance(no, Array) and yes.shape == no.shape:
             text = f"({test.within(c.CHOICE + 1)} ? {yes.pointer} : {no.pointer})"
-            return Array(yes.kind, text, yes.shape, root=yes.root or no.root)
+            return Array(yes.kind, text, yes.shape, root=None if None in (yes.root, no.root) else yes.root or no.root)
         yes, no = self.scalar(yes), self.scalar(no)
         text = f"{test.within(c.CHOICE + 1)} ? {yes.within(c.CHOICE)} : {no.within(c.CHOICE)}"
         return Scalar(wider(yes.kind, no.kind), text, c.CHOICE)
@@ -289,7 +289,7 @@ class Expressions:
         sizes = arguments[0].elts if isinstance(arguments[0], ast.Tuple) else [arguments[0]]
         shape = tuple(self.scalar(size).value for size in sizes)
         if not all(isinstance(size, int) for size in shape):
-            raise Untyped("an array whose size is computed; write a constant")
+            raise Untyped("an array with a computed size; write a constant")
         return Local(shape, zeros=zeros)
 
     def _law(self, called: Any, values: Sequence[Value]) -> Value:

@@ -56,21 +56,23 @@ def robot_files(scenario: Scenario, name: str) -> dict[str, str]:
 
 def controller_unit(options: ControlOptions, name: str) -> bytes:
     """The controller as an FMU: inputs `reading`, `reference`, `age`, output `command`; ConfigurationError as in C."""
-    own, side = c_name(name), control_side(options, split=True)
-    files = {file: text for file, text in controller_files(options, name).items() if file in (f"{own}.h", f"{own}.c")}
+    prefix, side = c_name(name), control_side(options, split=True)
+    files = {
+        file: text for file, text in controller_files(options, name).items() if file in (f"{prefix}.h", f"{prefix}.c")
+    }
     wanted = np.concatenate([source.evaluate(np.zeros(1))[0] for source in side.sources])
     inputs = {"reading": readings_along(options, side, 1)[0], "reference": wanted, "age": np.zeros(1)}
     arguments = "u->reading, u->reference, u->age[0], u->command"
-    return _unit("controller", own, files, inputs, {"command": np.zeros(6)}, options.reading_period, arguments)
+    return _unit("controller", prefix, files, inputs, {"command": np.zeros(6)}, options.reading_period, arguments)
 
 
 def robot_unit(scenario: Scenario, name: str) -> bytes:
     """The robot with its motors as an FMU: inputs `command`, `wrench`, output `measured`."""
-    own, plant = f"{c_name(name)}_robot", ClosedForm(scenario.robot, scenario.plant, scenario.gravity)  # type: ignore[arg-type]
+    prefix, plant = f"{c_name(name)}_robot", ClosedForm(scenario.robot, scenario.plant, scenario.gravity)  # type: ignore[arg-type]
     command = scenario.motors.initial_command(context_of(scenario, split=True))
     inputs, outputs = {"command": command, "wrench": np.zeros(6)}, {"measured": plant.initial(*scenario.start())}
     arguments = "u->command, u->wrench, u->measured"
-    return _unit("robot", own, robot_files(scenario, own), inputs, outputs, scenario.plant.time_step, arguments)
+    return _unit("robot", prefix, robot_files(scenario, prefix), inputs, outputs, scenario.plant.time_step, arguments)
 
 
 def write_units(options: ControlOptions, name: str, folder: Path) -> list[Path]:
@@ -82,7 +84,7 @@ def write_units(options: ControlOptions, name: str, folder: Path) -> list[Path]:
 
 
 def _unit(
-    kind: str, own: str, files: dict[str, str], inputs: Numbers, outputs: Numbers, period: float, arguments: str
+    kind: str, prefix: str, files: dict[str, str], inputs: Numbers, outputs: Numbers, period: float, arguments: str
 ) -> bytes:
     """The archive of a unit, with a library for this machine where there is a C compiler.
 
@@ -91,19 +93,19 @@ def _unit(
     variables = {**inputs, **outputs}
     words = {
         "WHAT": f"a {kind}",
-        "HEADER": f"{own}.h",
-        "STRUCT": f"{own}_{kind}",
+        "HEADER": f"{prefix}.h",
+        "STRUCT": f"{prefix}_{kind}",
         "PERIOD": number(on_grid(period)).text,
     }
-    words["STEP"] = f"return {own}_step(&u->inner, {arguments}) == 0 && ++u->steps > 0.0;"
+    words["STEP"] = f"return {prefix}_step(&u->inner, {arguments}) == 0 && ++u->steps > 0.0;"
     words["FIELDS"] = "\n".join(f"    double {name}[{start.size}];" for name, start in variables.items())
-    words |= {"INIT": f"{own}_init(&u->inner);", "WHY": f"{own}_why"}
+    words |= {"INIT": f"{prefix}_init(&u->inner);", "WHY": f"{prefix}_why"}
     rows = ((name, start.size, "true" if name in inputs else "false") for name, start in variables.items())
     words["TABLE"] = "\n".join(f"    {{offsetof(unit, {name}), {size}, {flag}}}," for name, size, flag in rows)
     starts = ((name, k, number(x).text) for name, start in variables.items() for k, x in enumerate(start))
     words["START"] = "\n".join(f"    u->{name}[{k}] = {text};" for name, k, text in starts)
     sources = {**files, "fmu.c": from_template("fmu.c", words)}
-    words |= _described(own, sources, inputs, outputs)
+    words |= _described(prefix, sources, inputs, outputs)
     content = {"modelDescription.xml": from_template("modelDescription.xml", words)}
     content |= {f"sources/{file}": text for file, text in sources.items()}
     content["sources/buildDescription.xml"] = from_template("buildDescription.xml", words)
@@ -111,19 +113,19 @@ def _unit(
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as unit:
         for file, text in content.items():
             unit.writestr(zipfile.ZipInfo(file), text)
-        if (library := _library(own, sources)) is not None:
+        if (library := _library(prefix, sources)) is not None:
             unit.writestr(zipfile.ZipInfo(library[0]), library[1])
     return archive.getvalue()
 
 
-def _library(own: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
+def _library(prefix: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
     """Its place in the archive and the library; None without a compiler, for who runs it to compile the sources."""
     compiler, system = shutil.which("cc") or shutil.which("gcc"), platform.system().lower()
     if compiler is None or system not in ("linux", "darwin"):
         return None
     machine, ending = platform.machine().replace("arm64", "aarch64"), "so" if system == "linux" else "dylib"
     with tempfile.TemporaryDirectory() as place:
-        folder, library = Path(place), Path(place) / f"{own}.{ending}"
+        folder, library = Path(place), Path(place) / f"{prefix}.{ending}"
         for file, text in sources.items():
             (folder / file).write_text(text, encoding="utf-8")
         flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-shared", "-fPIC"]
@@ -135,7 +137,7 @@ def _library(own: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
         return f"binaries/{machine}-{system}/{library.name}", library.read_bytes()
 
 
-def _described(own: str, sources: dict[str, str], inputs: Numbers, outputs: Numbers) -> dict[str, str]:
+def _described(prefix: str, sources: dict[str, str], inputs: Numbers, outputs: Numbers) -> dict[str, str]:
     """Words of the two descriptions of a unit."""
     rows = ['<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>']
     for k, (name, values) in enumerate({**inputs, **outputs}.items(), start=1):
@@ -147,5 +149,5 @@ def _described(own: str, sources: dict[str, str], inputs: Numbers, outputs: Numb
     structure = "".join(f'<{tag} valueReference="{k}"/>' for tag in ("Output", "InitialUnknown") for k in places)
     compiled = "".join(f'<SourceFile name="{file}"/>' for file in sources if file.endswith(".c"))
     token = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:32]
-    words = {"NAME": own, "TOKEN": token, "VERSION": __version__, "COMPILED": compiled}
+    words = {"NAME": prefix, "TOKEN": token, "VERSION": __version__, "COMPILED": compiled}
     return words | {"VARIABLES": "\n".join(rows), "STRUCTURE": structure}

@@ -89,7 +89,7 @@ class LoopSource:
         self._runs.append(f"static int run_{part.name}(struct loop *loop)\n{{\n" + "\n".join(lines) + "\n}")
 
     def _lines(self, k: int, part: Part, types: Sequence[Any]) -> list[str]:
-        """The call of a part's kernel, whose arguments have these types, and what follows from its status."""
+        """The call of a part's kernel, with arguments of these types, and what follows from its status."""
         of = struct_type(part.initial.dtype, types[-1])
         arguments = [self._leading(part, *leading) for leading in zip(part.leading.items(), types, strict=False)]
         arguments += [self._input(part, name) for name in part.inputs]

@@ -1,7 +1,7 @@
 """Compiled laws as C99: a translation of their source, function by function, that people can read.
 
 The laws are a small subset of Python, see docs/export.md, with the types of their annotations. Names, docstrings and
-comments stay. A function whose arrays have no size in its annotations is printed once for each size. Numbers come out
+comments stay. A function of arrays without a size in its annotations is printed once for each size. Numbers come out
 as numba computes them: in the same order, with its rules for powers, `min` and NaN.
 """
 

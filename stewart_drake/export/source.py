@@ -32,7 +32,7 @@ class Source(NamedTuple):
 
     file: str
     tree: ast.FunctionDef
-    comments: dict[int, str]  # Those on lines of their own.
+    comments: dict[int, str]  # By line; those on separate lines.
     types: dict[str, Any]  # Of arguments and result.
     scope: dict[str, int]  # Variables that C can declare where they are set first, and the lines of that.
     leaking: set[str]  # Variables of loops that are used outside of them.
@@ -50,7 +50,7 @@ class Source(NamedTuple):
 
 @lru_cache(maxsize=1024)
 def _parsed(thing: Any) -> tuple[ast.stmt, dict[int, str], dict[int, str]]:
-    """Syntax of a function or class, and its comments by line: those on lines of their own, and those beside code."""
+    """Syntax of a function or class, and its comments by line: on separate lines, and beside code."""
     source, start = inspect.getsourcelines(thing)
     text = textwrap.dedent("".join(source))
     alone: dict[int, str] = {}
@@ -116,9 +116,9 @@ def scope_of(tree: ast.FunctionDef) -> tuple[dict[str, int], set[str]]:
                     line = node.lineno if isinstance(name.ctx, ast.Store) else None
                     places.setdefault(name.id, []).append((path, line))
             if isinstance(node, (ast.For, ast.If)):
-                own = {ast.unparse(node.target)} if isinstance(node, ast.For) else set()
-                loops.update(own)
-                visit(node.body, (*path, 2 * k), inside | own)
+                variable = {ast.unparse(node.target)} if isinstance(node, ast.For) else set()
+                loops.update(variable)
+                visit(node.body, (*path, 2 * k), inside | variable)
                 visit(node.orelse, (*path, 2 * k + 1), inside)
 
     visit(tree.body, (), frozenset())

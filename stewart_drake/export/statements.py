@@ -83,7 +83,7 @@ class Statements(Expressions):
             node, count = node.orelse[0], len(self.lines)
             test = self.scalar(node.test)
             if len(self.lines) > count:
-                raise Untyped("an `elif` that needs a statement of its own; compute its condition before")
+                raise Untyped("an `elif` with a condition that needs another statement; compute it before")
             self._block(f"}} else if ({test.text})", node.body)
         if node.orelse:
             self._block("} else", node.orelse)

@@ -1,4 +1,4 @@
-"""Laws in the subset of Python that the printer knows, one for each thing that C does otherwise, and laws beyond it."""
+"""Laws in the subset of Python that the printer knows, where C differs from Python, and laws beyond it."""
 
 from typing import Annotated
 
@@ -232,4 +232,4 @@ REFUSED = {
     other_field: "no field `outs` of `LawState`",
     caller: "write its type, such as `values: Vec6`",
 }
-"""What is refused, and what its message says."""
+"""Refused laws, and a part of the message."""

@@ -78,7 +78,7 @@ def assert_same(commands):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(each, marks=[] if each in ("exact_fig7", "reachy_nod") else pytest.mark.slow) for each in SHIPPED],
+    [pytest.param(name, marks=[] if name in ("exact_fig7", "reachy_nod") else pytest.mark.slow) for name in SHIPPED],
 )
 def test_commands_are_those_of_the_controller(name, tmp_path):
     scenario = load_scenario(name)
