@@ -90,8 +90,8 @@ class LoopSource:
 
     def _lines(self, k: int, part: Part, types: Sequence[Any]) -> list[str]:
         """The call of a part's kernel, with arguments of these types, and what follows from its status."""
-        of = struct_type(part.initial.dtype, types[-1])
         arguments = [self._leading(part, *leading) for leading in zip(part.leading.items(), types, strict=False)]
+        of = struct_type(part.initial.dtype, types[-1])
         arguments += [self._input(part, name) for name in part.inputs]
         for n, kind in enumerate(part.scratch):
             name = f"{part.name}_scratch_{n}" if n else f"{part.name}_scratch"
@@ -124,7 +124,7 @@ class LoopSource:
         if isinstance(value, (bool, int, float)):
             return number(value)
         if not isinstance(value, np.ndarray):
-            raise Untyped(f"the constant `{name}`, a Python object")
+            raise Untyped(f"the constant `{name}`, an object that only Python has")
         is_variable = f"{part.name}.{name}" in self._variable
         if value.dtype.names:
             of = struct_type(value.dtype, annotation)
