@@ -163,7 +163,8 @@ def print_table(
     shown = max(2, sum(end < terminal.width for end in itertools.accumulate(3 + min(w, most) for w in widths)))
     for place, name in enumerate(header[:shown]):
         side: Any = "right" if place in right else "left"
-        table.add_column(escape(name), justify=side, overflow="fold", no_wrap=whole[place])
+        least = min(widths[place], most)
+        table.add_column(escape(name), justify=side, overflow="fold", min_width=least)
     for row in rows:
         table.add_row(*map(escape, row[:shown]))
     terminal.print(title, style="bold", markup=False, soft_wrap=True)
