@@ -158,13 +158,16 @@ def print_table(
     terminal, table = console(), Table(show_header=any(header))
     # Numbers stay in one line.
     whole = [any(header) and place in right for place in range(len(header))]
-    widths = [_least_width(*column) for column in zip(whole, header, *rows, strict=True)]
     most = max(_WORD, terminal.width // 3)
-    shown = max(2, sum(end < terminal.width for end in itertools.accumulate(3 + min(w, most) for w in widths)))
-    for place, name in enumerate(header[:shown]):
-        side: Any = "right" if place in right else "left"
-        least = min(widths[place], most)
-        table.add_column(escape(name), justify=side, overflow="fold", min_width=least)
+    widths = [min(_least_width(*column), most) for column in zip(whole, header, *rows, strict=True)]
+    shown = max(2, sum(end < terminal.width for end in itertools.accumulate(3 + width for width in widths)))
+    room = terminal.width - 1 - sum(3 + width for width in widths[:shown])
+    for place, (name, width, *cells) in enumerate(zip(header, widths, *rows, strict=True)):
+        if place < shown:
+            more = min(max(map(len, [name, *cells])) - width, max(room, 0))
+            room -= more
+            side: Any = "right" if place in right else "left"
+            table.add_column(escape(name), justify=side, overflow="fold", width=width + more)
     for row in rows:
         table.add_row(*map(escape, row[:shown]))
     terminal.print(title, style="bold", markup=False, soft_wrap=True)
