@@ -1,14 +1,12 @@
 """What all controllers share: the tracking error of the loop, and the torque limit with anti-windup."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from setups import setup_for
 from strategies import ROBOT, vectors
 from ticks import REST, standing, ticked
 
-from stewart_drake import Scenario, run
 from stewart_drake.control.base import TRACKING_ERROR
 from stewart_drake.control.classical import ComputedTorqueOptions
 from stewart_drake.control.lqi import LqiOptions
@@ -52,10 +50,3 @@ def test_no_torque_exceeds_the_limit_and_an_integral_at_it_grows_less_than_witho
     elif saturation == "clamp":
         assert (np.abs(limited.integral) <= np.abs(free.integral)).all()
         assert not np.array_equal(limited.integral, free.integral)
-
-
-@pytest.mark.parametrize("controller", ["pid", "computed_torque", "lqi"])
-def test_a_run_logs_the_error_whatever_the_controller(controller):
-    log = run(Scenario(duration=0.05, controller=controller, plant={"kind": "closed_form"}), check=False)
-    np.testing.assert_array_equal(log["error"], log["pose"] - log["reference"])
-    assert log["integral"].any() == (controller != "pid")

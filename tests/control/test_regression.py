@@ -379,19 +379,6 @@ def test_a_load_that_is_put_on_later_is_weighed_though_the_estimate_was_sure_of_
     assert before < then > late
 
 
-def test_beside_a_machine_it_is_the_same_and_readings_that_are_missing_do_no_harm():
-    log = run(servos(3.0), check=False)
-    readings = inverse_kinematics(log.scenario.robot, log["measured_pose"])
-    beside, broken, out = Controller(log.scenario.control()), Controller(log.scenario.control()), np.empty(6)
-    for tick, reading in enumerate(readings):
-        beside.step(reading, log.time[tick], out)
-        np.testing.assert_allclose(out, log["commanded_angle"][tick], atol=1e-9)
-        broken.step(np.full(6, np.nan) if tick > 100 else reading, log.time[tick], out)
-    np.testing.assert_allclose(beside.signal("learnt"), log["learnt"][-1], rtol=1e-6)
-    assert np.isfinite(out).all()
-    assert np.isfinite(broken.signal("learnt")).all()
-
-
 def test_after_readings_that_were_missing_while_cranks_moved_it_goes_on_to_learn():
     nods = [[0.0, 0.06 * (-1) ** k, 0.0, 0.0, 0.0, 0.195] for k in range(20)]
     rise = {"poses": [[0, 0, 0, 0, 0, 0.17], *nods], "durations": [0.8, *[0.4] * 19]}
@@ -448,12 +435,6 @@ def test_a_push_sideways_that_lasts_is_not_taken_for_friction(wrench):
     assert np.linalg.norm(log.error[late]) < 2.0 * np.linalg.norm(told.error[late])
 
 
-def test_an_unknown_payload_is_weighed():
-    scenario = load_scenario("exact_breathing").replace({"plant.kind": "closed_form", "plant.payload_mass": 0.3})
-    learnt = Learnt.of(run(scenario.replace({"adaptation": "regression"}), check=False)["learnt"][-1])
-    assert learnt.mass == pytest.approx(1.3, abs=0.02)
-
-
 @pytest.mark.parametrize("motion", ["breathing", "heart"])
 def test_a_load_beside_the_middle_moves_the_centre_of_mass_and_is_no_friction(motion):
     load = {"plant.payload_mass": 0.3, "plant.payload_position": [0.03, 0.02, 0.05]}
@@ -497,14 +478,6 @@ def test_a_centre_of_mass_is_kept_in_p_where_the_robot_has_a_tool():
     log = run(scenario, check=False)
     kept = scenario.replace({"model": model_of(last_learnt(log), log.scenario.controller_model)}).controller_model.robot
     np.testing.assert_allclose(kept.platform_center_of_mass, scenario.robot.platform_center_of_mass, atol=1e-12)
-
-
-def test_before_anything_is_learnt_the_intervals_are_wide():
-    log = run(load_scenario("exact_breathing").replace({**RUBS, "duration": 0.02}), check=False)
-    value, width = Learnt.of(log["learnt"][-1]), Learnt.of(log["learnt_half_width"][-1])
-    assert value.mass == log.scenario.robot.platform_mass
-    assert width.mass > 0.4 * value.mass
-    assert width.coulomb.min() > 0.08
 
 
 def test_one_torque_constant_for_all_keeps_what_each_motor_rubs_in_currents():
@@ -589,17 +562,6 @@ def test_ball_joints_that_turn_freely_are_found_to_be_free(makes):
     assert dry < 0.001
     assert max(half_widths) < 0.003
     assert late_error(log) < 3.0 * late_error(run(alone, check=False))
-
-
-@pytest.mark.long
-@pytest.mark.slow
-def test_all_three_engines_learn_alike():
-    changes = {"duration": 3.0, "adaptation": "regression", "plant.motor_friction": 0.05}
-    learnt = []
-    for kind in ("closed_form", "drake", "mujoco"):
-        log = run(load_scenario("exact_breathing").replace({**changes, "plant.kind": kind}), check=False)
-        learnt.append(Learnt.of(log["learnt"][-1]).coulomb)
-    np.testing.assert_allclose(learnt, 0.05, atol=0.004)
 
 
 def test_delays_beyond_what_is_remembered_and_a_kernel_below_a_period_are_refused():

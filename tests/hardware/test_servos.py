@@ -102,24 +102,6 @@ def test_currents_give_torques_by_the_constant_rounded_and_within_their_limits()
     np.testing.assert_allclose(state["torque"][0], [0.2, -0.25, 1.0, -1.0, 0.5, -1.0])
 
 
-def test_a_torque_constant_that_is_not_the_one_believed_shows():
-    own = {"kind": "current", "torque_constant": 0.5}
-    ways = {"right": own, "wrong": {**own, "torque_constant": 0.4}}
-    errors = {}
-    for name, believed in ways.items():
-        changes = {
-            "plant.kind": "closed_form",
-            "motors": own,
-            "model.motors": believed,
-            "safety": None,
-            "duration": 1.0,
-        }
-        log = run(load_scenario("hold").replace({**changes, "controller.kind": "computed_torque", "tuner": "fixed"}))
-        assert log.status == "completed"
-        errors[name] = np.abs(log["error"]).max()
-    assert errors["right"] < 1e-4 < errors["wrong"]
-
-
 def test_a_preset_sets_servo_and_friction_and_what_is_given_stands():
     text = {"robot": "reachy_mini", "motors": {"kind": "position", "preset": "xc330m288t", "damping": 0.01}}
     scenario = Scenario.from_dict(text)
@@ -148,14 +130,6 @@ def test_every_preset_is_a_motor(name):
             part.tick(motors.initial_command(setup_for()), np.zeros(12), part.initial.copy())
 
 
-def test_at_rest_it_holds_the_weight_where_the_reference_is():
-    log = run(load_scenario("hold").replace({**REACHY, "robot": "reachy_mini", "duration": 1.0, "reference": "hold"}))
-    assert log.status == "completed"
-    robot = log.scenario.robot
-    np.testing.assert_allclose(log["torque_applied"][-1], static_torque(robot, robot.home_pose), atol=0.02)
-    assert np.abs(log["pose"][-1] - robot.home_pose).max() < 2e-3
-
-
 PLAIN = {"kind": "position", "damping": 0}
 
 
@@ -173,15 +147,6 @@ def test_a_nod_is_followed_where_the_angles_of_inverse_kinematics_lag():
     # What the delay is believed to be counts: without preview of it the head is late.
     assert rmse({"motors.delay": 0.02}) < 0.1
     assert rmse({"motors.delay": 0.02, "model.motors": {"kind": "position"}}) > 0.5
-
-
-@pytest.mark.parametrize("controller", ["lqi", "pid", "computed_torque"])
-def test_every_controller_runs_on_servos(controller):
-    servos = {"kind": "position", "stiffness": 30.0, "damping": 0.1, "resolution_bits": None}
-    changes = {"plant.kind": "closed_form", "motors": servos, "safety": None, "duration": 1.0}
-    log = run(load_scenario("exact_breathing").replace({**changes, "controller.kind": controller}))
-    assert log.status == "completed"
-    assert np.abs(log["error"][log.time > 0.5, 3:]).max() < 2e-4
 
 
 @pytest.mark.parametrize(

@@ -39,15 +39,6 @@ def test_a_payload_comes_without_a_jump_and_is_carried(kind: str) -> None:
     np.testing.assert_allclose(loop.pose, pose, atol=1e-4)
 
 
-def test_a_dead_motor_gives_no_torque() -> None:
-    loop = LiveLoop(load_scenario("exact_fig7").replace(STILL))
-    loop.advance(20)
-    loop.change({"motors.dead": {"leg": 2}})
-    loop.advance(5)
-    assert loop.torque[2] == 0.0
-    assert (loop.torque[[0, 1, 3, 4, 5]] != 0.0).all()
-
-
 def test_a_loop_that_cannot_go_on_says_why_and_begins_anew() -> None:
     loop = LiveLoop(load_scenario("exact_fig7").replace(STILL))
     start = loop.pose

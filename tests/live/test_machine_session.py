@@ -5,13 +5,14 @@ import time
 
 import numpy as np
 import pytest
+from lagging_servos import Servos
 
-from stewart_drake import forward_kinematics, inverse_kinematics, load_scenario
+from stewart_drake import forward_kinematics, load_scenario
 from stewart_drake.base.errors import RunFailure
 from stewart_drake.live.machine_session import MachineSession
 from stewart_drake.live.start import start_machine
 from stewart_drake.live.steering import HandReference
-from stewart_drake.machines.machine import MachineError, Reading
+from stewart_drake.machines.machine import MachineError
 from stewart_drake.runs.drive import connected
 
 SCENARIO = load_scenario(
@@ -27,35 +28,23 @@ SCENARIO = load_scenario(
 ROBOT, HOME = SCENARIO.robot, SCENARIO.reference.evaluate(0.0)[0]
 
 
-class Servos:
-    """A paced machine at 50 Hz, twenty times as fast as the clock; `at` ticks does what is asked for then."""
+class Timed(Servos):
+    """Twenty times as fast as the clock; `asked`: tick -> what happens then."""
 
-    period, takes, reads, paced = 0.02, "angle", True, True
-
-    def __init__(self, at):
-        self.angles, self.count, self.at, self.commands = inverse_kinematics(ROBOT, HOME), 0, at, []
-
-    def connect(self):
-        pass
+    def __init__(self, asked):
+        super().__init__()
+        self.asked = asked
 
     def read(self):
         time.sleep(0.001)
-        self.count += 1
-        self.at.get(self.count, lambda: None)()
-        return Reading(self.angles.copy(), 0.02 * self.count, 0.0, self.count)
-
-    def command(self, values):
-        self.commands.append(values.copy())
-        self.angles += 0.6 * (values - self.angles)
-
-    def disconnect(self):
-        pass
+        self.asked.get(self.count + 1, lambda: None)()
+        return super().read()
 
 
 def steered(**at):
     """A session, its machine, and why it ended; `at`: tick -> what the page asks for, or raises."""
     asked = {}
-    machine = Servos(asked)
+    machine = Timed(asked)
     session = MachineSession(SCENARIO, machine, connected(SCENARIO, machine))
     for tick, command in at.items():
         asked[int(tick[1:])] = command if callable(command) else lambda command=command: session.put(command)
@@ -121,7 +110,7 @@ def test_the_motion_goes_and_comes_and_what_the_page_may_not_ask_does_nothing():
 
 
 def test_the_page_is_told_of_the_machine():
-    machine = Servos({})
+    machine = Timed({})
     session, server = start_machine(SCENARIO, machine, connected(SCENARIO, machine), "mine.py:Servos")
     server.close()
     about = server._server.RequestHandlerClass.about
@@ -164,5 +153,5 @@ def test_what_a_page_should_not_say_to_a_machine_changes_nothing(machine_session
 
 @pytest.fixture(scope="module")
 def machine_session():
-    machine = Servos({})
+    machine = Timed({})
     return MachineSession(SCENARIO, machine, connected(SCENARIO, machine))

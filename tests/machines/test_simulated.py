@@ -1,7 +1,6 @@
 """`sim:`, the simulation as a machine: a process of its own, in real time; and either side killed."""
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -92,46 +91,6 @@ def test_a_killed_simulation_is_a_lost_machine(tmp_path, monkeypatch):
     with pytest.raises(MachineError, match="sim: nobody listens there"):
         go_on(machine)
     machine.disconnect()
-
-
-DRIVER = """
-import numpy as np
-from made_machines import TORQUES
-from stewart_drake.machines.machine import open_machine
-machine = open_machine("udp://127.0.0.1:%d", TORQUES)
-machine.connect()
-while True:
-    machine.read()
-    machine.command(np.full(6, 0.01))
-    print("driving", flush=True)
-"""
-
-
-@pytest.mark.long
-def test_a_robot_whose_driver_is_killed_holds_and_takes_the_next_one(shell_environment):
-    command = [sys.executable, "-m", "stewart_drake.machines.simulated", "exact_fig7", "--port", "0"]
-    robot = subprocess.Popen(command, stdout=subprocess.PIPE, env=shell_environment)
-    try:
-        port = int(robot.stdout.readline())
-        driver = subprocess.Popen([sys.executable, "-c", DRIVER % port], stdout=subprocess.PIPE, env=shell_environment)
-        for _ in range(20):
-            assert driver.stdout.readline() == b"driving\n"
-        driver.kill()
-        driver.communicate()
-        time.sleep(1.2)  # Then it listens to anybody.
-        machine = open_machine(f"udp://127.0.0.1:{port}", TORQUES)
-        machine.connect()
-        first = machine.read()
-        assert first.holding
-        time.sleep(0.3)
-        for _ in range(20):
-            later = machine.read()
-        np.testing.assert_array_equal(first.angles, later.angles)
-        machine.disconnect()
-    finally:
-        robot.send_signal(signal.SIGINT)
-        said = robot.communicate(timeout=20)[0]
-    assert b'"accepted"' in said
 
 
 @pytest.mark.slow

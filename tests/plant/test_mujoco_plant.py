@@ -170,22 +170,6 @@ def test_any_order_names_turn_and_mount_of_the_model_will_do(tmp_path):
         assert max(apart[POSE].max(), apart[ANGLES].max()) < 1e-4
 
 
-def test_it_goes_on_from_where_it_was_saved_to_the_bit():
-    plant, other = (MujocoOptions(motor_friction=0.05, payload_mass=mass).make(PAPER, GRAVITY) for mass in (0.0, 0.2))
-    plant.initial(PAPER.home_pose, STILL)
-    torque = static_torque(PAPER, PAPER.home_pose) + 0.1
-    for _ in range(20):
-        plant.step(torque, STILL)
-    state = plant.save()
-    first = [plant.step(torque, STILL).copy() for _ in range(20)]
-    plant.restore(state)
-    np.testing.assert_array_equal(first, [plant.step(torque, STILL).copy() for _ in range(20)])
-    # Another plant of the kind takes the state too.
-    np.testing.assert_array_equal(other.restore(state), plant.restore(state))
-    with pytest.raises(ConfigurationError, match="state of a plant"):
-        plant.restore(state[:-1])
-
-
 def test_what_blows_up_is_said_without_a_file_of_mujocos(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     plant = MujocoOptions(time_step=0.01, model_file=write(tmp_path / "robot.xml", mjcf_text(PAPER))).make(

@@ -4,9 +4,9 @@ import importlib.util
 
 import numpy as np
 import pytest
+from lagging_servos import Servos
 
 from stewart_drake import ConfigurationError, load_scenario, run
-from stewart_drake.machines.machine import Reading
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.reachy.moves import HEAD_HEIGHT, STEP, Move, move_json, moves_of, read_move
 from stewart_drake.reachy.possible_moves import (
@@ -110,18 +110,6 @@ def played(path, move):
     return Scenario.from_dict(data)
 
 
-class AtHome:
-    """A machine that rests in the home pose."""
-
-    period, takes, reads, paced = 0.02, "angle", True, True
-
-    def connect(self):
-        pass
-
-    def read(self):
-        return Reading(inverse_kinematics(ROBOT, ROBOT.home_pose), 0.0, 0.0, 1)
-
-
 @pytest.mark.parametrize(
     ("noise", "jitter", "deg", "mm"), [(0, 0, 0.03, 0.02), (1, 0, 0.08, 0.08), (0, 0.003, 0.04, 0.02)]
 )
@@ -150,7 +138,7 @@ def test_what_fix_passes_check_run_and_drive_pass(tmp_path, move):
     scenario = played(tmp_path / "fixed.json", fixed)
     for duration in (0.7, fixed.time[-1], scenario.reference.end, fixed.time[-1] + 1.0):
         check_scenario(scenario.replace({"duration": duration}))
-    planned = connected(scenario, AtHome())
+    planned = connected(scenario, Servos())
     assert planned.duration > scenario.reference.end
     # It rests at its last row, and goes no further.
     np.testing.assert_allclose(scenario.reference.evaluate(99.0)[0], fixed.pose[-1], atol=2e-4)
@@ -204,11 +192,6 @@ def test_an_ordinary_player_of_a_shaped_move_sends_what_the_exact_model_sends(tm
     log = run(scenario.replace({"reference": reference, "duration": 1.4}), check=False)
     sent = np.array([log["commanded_angle"][np.searchsorted(log.time, time - 1e-6)] for time in back.time[:60]])
     np.testing.assert_allclose(inverse_kinematics(ROBOT, back.pose[:60]), sent, atol=1e-6)
-
-
-def test_a_controller_that_reads_or_sends_torques_shapes_nothing():
-    with pytest.raises(ConfigurationError, match="motors that take angles"):
-        shaped_move(load_scenario("reachy_nod"), moving(0, np.zeros(100)))
 
 
 TOOL = {"position": [0.02, 0.0, 0.1], "orientation": [0.2, -0.1, 0.3]}

@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from lagging_servos import HOME, Servos
 
 from stewart_drake import load_scenario, run_metrics
 from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError, RunFailure
@@ -22,35 +23,8 @@ SERVOS = {
     "model": {"friction": None, "motors": {"kind": "position", "preset": "xl330_m288", "damping": 0.0}},
 }
 BASE = load_scenario("reachy_nod").replace(SERVOS)
-HOME = inverse_kinematics(BASE.robot, BASE.robot.home_pose)
 HOME_POSE, FAR = BASE.robot.home_pose.tolist(), (BASE.robot.home_pose + [0.0, 0.0, 0.0, 0.0, 0.0, 0.1]).tolist()
 ROTATED = BASE.robot.home_pose + [0.1, -0.05, 0.1, 0.0, 0.0, 0.003]
-
-
-class Servos:
-    """A paced machine at 50 Hz."""
-
-    period, takes, reads, paced = 0.02, "angle", True, True
-
-    def __init__(self, angles=HOME, at=None, event=None):
-        self.angles, self.count, self.commands, self.gone = np.array(angles), 0, [], False
-        self.at, self.event, self.age, self.holding = at, event, 0.0, False
-
-    def connect(self):
-        pass
-
-    def read(self):
-        self.count += 1
-        if self.count == self.at:
-            self.event(self)
-        return Reading(self.angles.copy(), 0.02 * self.count, self.age, self.count, holding=self.holding)
-
-    def command(self, values):
-        self.commands.append(values.copy())
-        self.angles += 0.6 * (values - self.angles)
-
-    def disconnect(self):
-        self.gone = True
 
 
 class Exact:

@@ -187,18 +187,3 @@ def test_a_plant_is_opened_before_it_is_finished():
     with pytest.raises(ConfigurationError, match=r"^name: expected one that no other system .* got 'plant'"):
         add_plant(builder, ROBOT)
     add_plant(builder, ROBOT, name="other")
-
-
-def test_what_cannot_be_is_one_line():
-    plant = MultibodyPlant(0.001)
-    robot = add_robot(plant, ROBOT)
-    for ask in (lambda: robot.torque_input_port, lambda: robot.indices, lambda: robot.assemble(ROBOT.home_pose)):
-        with pytest.raises(ConfigurationError, match=r"^plant: expected one that is finalised"):
-            ask()
-    with pytest.raises(ConfigurationError, match=r"^model_instance: expected a name that the plant does not have"):
-        add_robot(plant, ROBOT)
-    plant.Finalize()
-    with pytest.raises(ConfigurationError, match=r"^plant: expected one before Finalize"):
-        add_robot(plant, ROBOT, model_instance="late")
-    with pytest.raises(ConfigurationError, match=r"^plant: expected a discrete one"):
-        add_robot(MultibodyPlant(0.0), ROBOT)

@@ -18,7 +18,6 @@ from stewart_drake.base.records import Record, Vec2
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.loop.part import Part
-from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.references import paper_reference
 from stewart_drake.scenario.scenario import Scenario
@@ -108,16 +107,6 @@ def test_every_field_of_a_record_can_be_a_port():
     )
     with pytest.raises(ConfigurationError, match=r"^field: expected .*feedforward.*, got 'speed'"):
         system.field("speed")
-
-
-def test_an_observer_wired_by_hand_knows_where_the_platform_is():
-    system = systems.PlatformObserver(Scenario(sensors="encoders", estimator="observer"))
-    context = system.CreateDefaultContext()
-    home = ROBOT.home_pose
-    system.reading.FixValue(context, inverse_kinematics(ROBOT, home))
-    system.net_torque.FixValue(context, np.zeros(6))
-    system.reference.FixValue(context, [*home, *np.zeros(12)])
-    np.testing.assert_allclose(system.measurement.Eval(context)[:6], home, atol=1e-4)
 
 
 class Sampler(Record):
