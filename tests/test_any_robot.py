@@ -33,7 +33,7 @@ def near_home(robot, count, seed=0):
 
 
 @pytest.mark.parametrize("which", [*SHIPPED, *RANDOM])
-def test_its_sdf_stands_closed_at_home_and_moves_as_the_exact_model_says(which):
+def test_its_sdf_is_closed_at_home_and_moves_as_the_exact_model(which):
     robot = robot_of(which)
     for joint in ("universal", "ball"):
         plant = MultibodyPlant(0.001)

@@ -14,7 +14,7 @@ from stewart_drake.control.network import load_network
 PAGE = (ROOT / "docs" / "in_drake.md").read_text()
 
 
-def test_the_page_runs_and_what_it_says_is_so():
+def test_the_page_runs_and_its_numbers_are_right():
     names = {}
     for block in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):
         exec(compile(block, "in_drake.md", "exec"), names)

@@ -84,7 +84,7 @@ def test_robots_that_cannot_be_built_are_refused_by_the_name_of_each_part(change
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
-def test_the_shipped_robots_stand_at_home_as_their_makers_and_remarks_have_them():
+def test_the_shipped_robots_have_the_home_of_their_makers():
     reachy, hexapod = load_robot("reachy_mini"), load_robot("servo_hexapod")
     home = inverse_kinematics(reachy, reachy.home_pose)
     np.testing.assert_allclose(home, 0.6265 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]), atol=1e-4)
@@ -214,7 +214,7 @@ def test_pairs_that_are_clear_are_found_whichever_row_is_first(first):
     assert pairs == (((0, 1), (2, 3), (4, 5)) if first == 0 else ((0, 5), (1, 2), (3, 4)))
 
 
-def test_one_crank_that_is_mirrored_is_told_with_its_leg(tmp_path):
+def test_a_mirrored_crank_has_a_warning_with_its_leg(tmp_path):
     header = f"{HEADER}, crank_x, crank_y, crank_z"
     lengths = {"crank_length": 0.025, "rod_length": 0.14}
     rows = np.column_stack([POINTS, HEXAPOD.crank_zero_directions])
@@ -353,7 +353,7 @@ def test_the_papers_robot_has_the_defaults_of_the_classes_to_the_last_bit():
     assert Scenario(controller={"kind": "pid"}).controller == PidOptions()
 
 
-def test_another_robot_has_lengths_torques_and_home_of_its_own():
+def test_defaults_scale_with_the_robot():
     scenario = Scenario(robot=SERVO, **ALL)
     length, torque = 0.065 / 0.11, 1.5 / 5.0
     assert scenario.limits.clearance == pytest.approx(0.005 * length)
@@ -379,7 +379,7 @@ def test_what_is_given_stays_and_what_is_off_stays_off():
     assert Scenario.from_dict(scenario.to_dict()) == scenario
 
 
-def test_a_motion_made_in_python_or_inside_a_sum_stands_about_the_robots_home():
+def test_a_motion_made_in_python_or_inside_a_sum_is_centred_at_the_robots_home():
     home = (0.0, 0.0, 0.0, 0.0, 0.0, 0.151)
     assert Scenario(robot=SERVO, reference=HoldReference()).reference.pose == home
     parts = [{"kind": "breathing"}, {"kind": "heartbeat"}]

@@ -83,7 +83,7 @@ def test_the_linear_loop_answers_a_small_push_as_drakes_plant_does(changes):
     ],
     ids=str,
 )
-def test_it_stands_still_where_the_model_is_wrong_or_the_integral_holds_the_robot(changes):
+def test_the_loop_is_stable_with_a_wrong_model_and_without_an_integral(changes):
     made = scenario(*changes)
     loops = linear_loops(made, sample_poses(made.robot, NEAR, 3, np.random.default_rng(1)))
     assert len(loops.poses) == 3

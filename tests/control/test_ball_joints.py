@@ -80,7 +80,7 @@ def test_power_of_the_motors_is_what_the_joints_take(robot):
     assert made == pytest.approx(lost, rel=1e-9)
 
 
-def test_dry_friction_acts_about_the_axes_that_are_told():
+def test_dry_friction_acts_about_the_given_axes():
     robot, pose = ROBOTS[1], ROBOTS[1].home_pose + [0.05, 0.02, -0.03, 0.002, 0.001, 0.003]
     turned = ((0.0, 0.0, 0.0),) * 5 + ((0.4, -0.2, 0.7),)
     joints = BallJoints(coulomb=0.1, width=1e-6, platform=(0, 0, 0, 0, 0, 1), crank_axes=turned, platform_axes=turned)

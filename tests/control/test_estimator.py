@@ -88,7 +88,7 @@ def test_another_assembly_mode_of_the_same_cranks_is_refused(limits):
 
 
 @pytest.mark.parametrize("bad", [np.nan, -np.inf, at(HOME)[2] + 0.5], ids=["not a number", "infinite", "jump"])
-def test_the_last_good_pose_stands_in_for_so_many_ticks_and_no_more(bad):
+def test_the_last_good_pose_bridges_so_many_ticks_and_no_more(bad):
     tick, initial = estimator(DifferenceOptions(hold_ticks=3))
     angles = at(HOME)
     bad = np.where(np.arange(6) == 2, bad, angles)

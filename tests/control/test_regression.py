@@ -85,7 +85,7 @@ def arrows(rng, rows=40):
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
-def test_arrows_are_dense_least_squares(seed):
+def test_the_square_root_filter_is_dense_least_squares(seed):
     motor_rows, shared_rows, dense, right, _ = arrows(np.random.default_rng(seed))
     expected = np.linalg.lstsq(dense, right, rcond=None)[0]
     covariance, row = np.linalg.inv(dense.T @ dense), np.arange(1.0, N_MOTOR + N_SHARED + 1.0)
@@ -104,7 +104,7 @@ def test_arrows_are_dense_least_squares(seed):
 @pytest.mark.long
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 10**6))
-def test_numbers_that_are_held_move_the_others_to_where_they_are_likeliest(seed):
+def test_bounded_parameters_move_the_others_to_the_constrained_optimum(seed):
     rng = np.random.default_rng(seed)
     motor_rows, shared_rows, dense, right, _ = arrows(rng)
     # Two that are nearly the same thing, or the opposite.
@@ -318,7 +318,7 @@ def test_a_robot_that_rests_learns_nothing_and_a_frozen_one_keeps_its_model():
     np.testing.assert_array_equal(frozen["commanded_angle"], cautious["commanded_angle"])
 
 
-def test_who_knows_the_truth_does_not_learn_away_from_it():
+def test_a_right_model_stays_right_while_it_learns():
     pose = [0.0, 0.0, 0.0, 0.0, 0.0, 0.177]
     turned = [[0, 0, 0.5, 0, 0, 0.177], [0, -0.2, -0.4, 0, 0, 0.182], [0, 0.25, -0.3, 0, 0, 0.177], pose] * 4
     look = {
@@ -339,7 +339,7 @@ def test_who_knows_the_truth_does_not_learn_away_from_it():
     assert learns < 1.2 * knows
 
 
-def test_caution_takes_no_damping_from_a_servo_that_has_it():
+def test_cautious_friction_keeps_the_damping_of_a_servo():
     free = {"coulomb": 0.0, "viscous": 0.0}
     bold, cautious = (
         run(servos(3.0, **{"plant.friction": free, "model.friction": free, "adaptation.cautious": each}), check=False)
@@ -359,7 +359,7 @@ def test_a_push_is_not_taken_for_the_robot():
 
 
 @pytest.mark.parametrize(("coulomb", "viscous"), [(0.08, 0.12), (0.1, 0.05)])
-def test_cranks_that_stick_harder_than_they_slide_are_learnt_as_they_slide(coulomb, viscous):
+def test_friction_above_the_sliding_level_is_learnt_as_sliding_friction(coulomb, viscous):
     friction = {"coulomb": coulomb, "viscous": viscous, "break_away": 1.5 * coulomb}
     nod = {"kind": "sine", "amplitude": [0.0, 0.26, 0.0, 0.0, 0.0, 0.0], "angular_frequency": "1 Hz"}
     changes = {"plant": {"kind": "closed_form", "friction": friction}, "reference": nod, "duration": 4.0}
@@ -395,7 +395,7 @@ def test_after_readings_that_were_missing_while_cranks_moved_it_goes_on_to_learn
     assert width.coulomb.max() < 2.0 * Learnt.of(log["learnt_half_width"][-1]).coulomb.max()
 
 
-def test_a_crank_that_jumps_is_learnt_no_more():
+def test_learning_stops_after_a_crank_jumps():
     scenario = servos(4.0)
     log = run(scenario, check=False)
     readings, beside, out = inverse_kinematics(scenario.robot, log["measured_pose"]), [], np.empty(6)
@@ -480,7 +480,7 @@ def test_a_centre_of_mass_is_kept_in_p_where_the_robot_has_a_tool():
     np.testing.assert_allclose(kept.platform_center_of_mass, scenario.robot.platform_center_of_mass, atol=1e-12)
 
 
-def test_one_torque_constant_for_all_keeps_what_each_motor_rubs_in_currents():
+def test_one_torque_constant_for_all_motors_keeps_their_friction_in_currents():
     scenario = load_scenario("reachy_nod").replace({"motors": "current", "safety": None, "adaptation": "regression"})
     drive, coulomb = np.array([0.8, 0.9, 1.0, 1.1, 1.2, 1.3]), np.full(6, 0.05)
     learnt = np.concatenate([[0.3, 0.0], drive, 0.1 * coulomb, coulomb])

@@ -105,7 +105,7 @@ def gain_at_many_digits(s, period, blocks):
     period=logs(-4.0, -1.0),
     exponents=st.tuples(*[st.floats(-2.0, 6.0)] * 4) | st.tuples(*[st.floats(-12.0, 12.0)] * 4),
 )
-def test_each_chain_has_the_gain_of_sixty_digits_or_says_that_it_has_none(s, period, exponents):
+def test_a_chain_has_the_gain_of_sixty_digits_or_reports_that_it_has_none(s, period, exponents):
     blocks, gain = tuple((10.0 ** np.array(exponents)).tolist()), np.empty(3)
     with np.errstate(all="ignore"):
         done = chain_gain(np.float64(s), period, np.array(blocks), gain)

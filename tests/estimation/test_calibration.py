@@ -115,7 +115,7 @@ def test_homing_offsets_are_readings_minus_true_angles_and_stops_move_with_them(
     assert as_robot(guess, change).crank_angle_ranges == pytest.approx(guess.crank_angle_ranges + 0.02)
 
 
-def test_a_plan_keeps_to_the_limits_tells_more_than_chance_and_says_what_intervals_come():
+def test_a_plan_keeps_to_the_limits_beats_random_poses_and_predicts_the_intervals():
     limits = ReferenceLimits()
     plan = plan_poses(ROBOT, 30, limits, candidates=100)
     still = np.zeros((30, 6))
@@ -158,7 +158,7 @@ def good():
     return measured(deviating(ROBOT, rng), exact, MeasurementNoise(), rng)
 
 
-def test_the_table_has_intervals_and_says_what_was_held(good):
+def test_the_table_has_intervals_and_marks_what_was_held(good):
     calibration = calibrate(ROBOT, good, hold=("rod_length",))
     legs, rows = calibration.table()
     cells = {name: cells for name, *cells in rows}

@@ -61,7 +61,7 @@ def test_hidden_constants_are_within_their_intervals(trial, found):
     assert width[COULOMB].max() < 1e-3
 
 
-def test_age_and_delay_are_told_as_their_sum(trial, found):
+def test_only_the_sum_of_reading_age_and_delay_is_identified(trial, found):
     real, _, recording = trial
     other = identify_servos(GUESS, [recording], reading_age=0.0)
     assert other.values[DELAY] == pytest.approx(found.values[DELAY] + real.age, abs=1e-4)
@@ -69,7 +69,7 @@ def test_age_and_delay_are_told_as_their_sum(trial, found):
 
 
 @pytest.mark.long
-def test_a_head_that_was_weighed_tells_the_rotors_inertia(trial):
+def test_a_head_of_known_mass_gives_the_rotors_inertia(trial):
     real, _, recording = trial
     off = GUESS.replace(rotor_inertia=1.3 * GUESS.rotor_inertia, platform_mass=real.robot.platform_mass)
     result = identify_servos(off, [recording], hold=["platform_mass"], reading_age=real.age)

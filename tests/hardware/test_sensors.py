@@ -61,7 +61,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("fault", "rows", "channels", "said"), FAULTS)
-def test_a_fault_says_something_else_while_it_lasts_and_on_its_channels_alone(fault, rows, channels, said):
+def test_a_fault_changes_its_channels_alone_while_it_lasts(fault, rows, channels, said):
     expected = READINGS.copy()
     expected[rows, channels] = said
     np.testing.assert_allclose(says(fault), expected, rtol=0.0, atol=1e-12)
@@ -69,7 +69,7 @@ def test_a_fault_says_something_else_while_it_lasts_and_on_its_channels_alone(fa
 
 @pytest.mark.parametrize("leg", [2, None])
 @given(delay=st.integers(1, 12), first=st.integers(0, 9))
-def test_a_late_encoder_says_what_it_read_before(leg, delay, first):
+def test_a_late_encoder_gives_earlier_readings(leg, delay, first):
     told = says(EncoderFault(kind="late", leg=leg, delay=PERIOD * delay, time=PERIOD * first))
     before = np.maximum(np.arange(10) - delay, 0)
     expected, legs = READINGS.copy(), slice(None) if leg is None else leg

@@ -88,7 +88,7 @@ def test_play_lets_the_crank_go_until_it_is_crossed(error):
     np.testing.assert_allclose(made, np.clip(10.0 * wound, -ROBOT.effort_limits, ROBOT.effort_limits), atol=1e-9)
 
 
-def test_play_that_is_believed_is_taken_out_of_a_motion():
+def test_backlash_in_the_model_is_compensated():
     loose = {"kind": "position", "stiffness": 10.0, "damping": 0.4, "resolution_bits": None, "backlash": 0.03}
     motion = {"motors": loose}
     assert rmse(motion) < 0.5 * rmse({**motion, "model.motors": {**loose, "backlash": 0.0}})
@@ -102,7 +102,7 @@ def test_currents_give_torques_by_the_constant_rounded_and_within_their_limits()
     np.testing.assert_allclose(state["torque"][0], [0.2, -0.25, 1.0, -1.0, 0.5, -1.0])
 
 
-def test_a_preset_sets_servo_and_friction_and_what_is_given_stands():
+def test_a_preset_sets_servo_and_friction_unless_they_are_given():
     text = {"robot": "reachy_mini", "motors": {"kind": "position", "preset": "xc330m288t", "damping": 0.01}}
     scenario = Scenario.from_dict(text)
     assert (scenario.motors.stiffness, scenario.motors.damping, scenario.motors.torque_limit) == (2.54, 0.01, 0.8)
@@ -182,7 +182,7 @@ def test_a_controller_gives_angles_that_a_servo_takes():
     np.testing.assert_array_equal(angles, out)
 
 
-def test_a_linear_loop_has_no_place_for_a_servo_s_own():
+def test_linearize_refuses_servos_and_controllers_without_feedback():
     with pytest.raises(ConfigurationError, match=r"^motors\.kind: expected motors that take torque"):
         linearize(load_scenario("reachy_nod").replace(REACHY))
     with pytest.raises(ConfigurationError, match=r"^controller\.kind: expected one with feedback"):
@@ -225,7 +225,7 @@ def test_what_motors_take_must_be_believed(motors, believed):
         load_scenario("reachy_nod").replace({**REACHY, "motors": motors, "model.motors": {"kind": believed}})
 
 
-def test_a_check_says_what_is_believed_of_servos():
+def test_a_check_compares_servos_with_the_model():
     changes = {"model.motors": {"kind": "position", "stiffness": 1.3}}
     rows = compared_with_model(load_scenario("reachy_nod").replace({**REACHY, **changes}))
     assert ("motors", "position", "position") in rows
@@ -253,7 +253,7 @@ def test_how_rough_a_run_is_shows_in_the_torque_that_servos_give():
     assert run_metrics(log)["torque_change_rms"] == pytest.approx(np.sqrt(np.mean(made**2)))
 
 
-def test_a_plot_says_that_servos_are_not_commanded_a_torque():
+def test_a_plot_labels_the_torque_of_servos_as_that_of_the_model():
     log = run(load_scenario("reachy_nod").replace({**REACHY, "duration": 0.2}), check=False)
     labels = {line.get_label() for axis in plot_torques(log).axes for line in axis.lines}
     assert "torque that the model asks for" in labels

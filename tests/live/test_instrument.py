@@ -128,7 +128,7 @@ def test_a_hand_is_no_wrong_motor_until_reset():
     assert live.loop.scenario.safety.unexplained_torque is not None
 
 
-def test_the_robot_beside_has_errors_of_its_own():
+def test_the_second_robot_has_separate_errors():
     live = session()
     assert live.row()["beside"] is None
     do(live, do="ghost", controller="PID of each motor")
@@ -141,7 +141,7 @@ def test_the_robot_beside_has_errors_of_its_own():
     assert row["beside"]["ended"] == ""
 
 
-def test_sliders_stand_where_the_scenario_does_and_go_no_farther_than_their_ends():
+def test_sliders_start_at_the_scenario_and_stop_at_their_ends():
     scenario = for_live_page(load_scenario("exact_breathing").replace({**SWAY, "tuner": "block"}))
     knobs = {knob.key: knob for knob in sliders_of(scenario, scenario)}
     assert {"tuner.q_pose", "estimator.disturbance", "plant.motor_friction", "model.friction.coulomb"} <= set(knobs)

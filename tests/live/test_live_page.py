@@ -160,7 +160,7 @@ def test_a_second_tab_shows_what_is_set_in_the_first(page, browser, live):
     third.close()
 
 
-def test_the_page_says_when_the_session_is_gone_or_silent_and_when_it_is_back(browser):
+def test_the_page_shows_when_the_session_is_gone_or_silent_and_when_it_is_back(browser):
     session = Live("exact_fig7", "--set", "plant.kind=closed_form")
     page, _ = opened(browser, session.url)
     assert page.is_hidden("#gone")
@@ -334,7 +334,7 @@ def test_the_platform_is_turned_by_the_mouse(page, how):
     page.click("#reset")
 
 
-def test_the_robot_beside_is_in_the_plots(page):
+def test_the_second_robot_is_in_the_plots(page):
     page.select_option("#ghost", "PID of each motor")
     wait(page, "traces.error.data[2].at(-1) > 0 && traces.angle.data[2].at(-1) >= 0", 60_000)
     wait(page, "document.querySelector('#traces .u-title').textContent.includes('(pale: ')")
@@ -347,7 +347,7 @@ def test_a_step_is_asked_for_and_its_figures_are_shown(page):
     wait(page, "document.getElementById('test-result').textContent.startsWith('step of Z')", 60_000)
 
 
-def test_a_slider_of_the_machine_and_one_of_the_belief_stand_apart(page):
+def test_sliders_of_the_machine_and_of_the_model_are_independent(page):
     page.evaluate(
         """() => {
           const slider = document.getElementById("knob-command_delay");

@@ -89,7 +89,7 @@ def test_it_goes_as_far_as_the_robot_can_and_names_the_limit():
     assert (np.array(machine.commands) <= high + 1e-9).all()
 
 
-def test_a_lost_machine_ends_it_and_is_told():
+def test_a_lost_machine_ends_the_session_with_a_message():
     def lost():
         raise MachineError("robot", "lost")
 
@@ -109,7 +109,7 @@ def test_the_motion_goes_and_comes_and_what_the_page_may_not_ask_does_nothing():
     assert any("off after the scenario's duration, 4 s" in message for message in messages)
 
 
-def test_the_page_is_told_of_the_machine():
+def test_the_page_shows_the_machine():
     machine = Timed({})
     session, server = start_machine(SCENARIO, machine, connected(SCENARIO, machine), "mine.py:Servos")
     server.close()
@@ -143,7 +143,7 @@ def test_a_hand_s_motion_goes_on_where_a_target_changes(change):
      {"do": "aim", "pose": [1e300] * 6}, {"do": "aim", "pose": [10**400] * 6}, {"do": "move"},
      {"do": "knob", "key": "plant.motor_friction", "value": 0.1}, {"do": "save"}],
 )  # fmt: skip
-def test_what_a_page_should_not_say_to_a_machine_changes_nothing(machine_session, command):
+def test_bad_commands_to_a_machine_change_nothing(machine_session, command):
     target = machine_session.row()["target"]
     machine_session.put(command)
     machine_session.obey()

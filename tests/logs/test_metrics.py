@@ -63,7 +63,7 @@ def test_peak_speed_is_that_of_the_fastest_crank_by_its_angles():
     assert run_metrics(made_log(rows=1))["crank_speed_peak_deg_s"] is None
 
 
-def test_a_table_says_of_each_figure_what_it_is_and_over_which_half():
+def test_a_table_describes_its_figures_and_their_interval():
     for metric in METRICS:
         for column in metric.columns():
             assert column.text.startswith(metric.text)

@@ -201,7 +201,7 @@ def warned(**changes):
         ("reachy_mini", {"kind": "ideal"}, None),
     ],
 )
-def test_a_place_that_is_not_held_is_said_in_the_scale_of_robot_and_sensors(robot, sensors, bound):
+def test_a_position_that_is_not_held_has_a_warning_in_the_scale_of_robot_and_sensors(robot, sensors, bound):
     scenario = {"robot": robot, "sensors": sensors, "bounds": {"position": None}}
     length = rows_of(scenario=scenario).scenario.robot.characteristic_length
     bound = 0.003 * length if bound is None else bound
@@ -219,7 +219,7 @@ def test_a_place_that_is_not_held_is_said_in_the_scale_of_robot_and_sensors(robo
     assert "poorly_held" not in warned(scenario=scenario, pose=away)
 
 
-def test_a_motion_that_was_made_beyond_a_limit_is_said_though_it_was_followed():
+def test_a_motion_beyond_a_limit_has_a_warning_though_it_was_followed():
     pose = np.tile(HOME, (101, 1))
     pose[20:30, [0, 5]] = [0.56, 0.355]
     found = warned(pose=pose, reference=pose)["beyond_limits"]
@@ -241,7 +241,7 @@ def test_a_crank_that_touches_its_stop_with_an_error_of_following_is_not_beyond_
     assert (found is not None and found[0].limit == "crank_range") == is_told
 
 
-def test_a_motion_that_is_over_long_before_the_run_is_said():
+def test_a_motion_that_ends_long_before_the_run_has_a_warning():
     rate = np.zeros((101, 6))
     rate[:31, 5] = 0.01
     found = warned(reference_rate=rate)["motion_length"]

@@ -17,7 +17,7 @@ from stewart_drake.scenario.controller import Controller
 
 
 @pytest.mark.parametrize("scenario", [SERVOS, TORQUES], ids=["servos", "torques"])
-def test_the_robot_stands_at_home_with_closed_brakes_and_stops_with_them(scenario):
+def test_the_robot_is_held_at_home_and_stopped_by_its_brakes(scenario):
     robot = SimulatedRobot(scenario)
     for _ in range(20):
         robot.advance(True)
@@ -121,7 +121,7 @@ def shell_environment():
     return {**os.environ, "PYTHONPATH": os.pathsep.join(str(each) for each in folders if each)}
 
 
-def test_readings_and_commands_are_as_old_as_the_scenario_says():
+def test_readings_and_commands_have_the_delays_of_the_scenario():
     scenario = SERVOS.replace({"sensors.delay": 0.003, "sensors.resolution_bits": 0, "command_delay": 1})
     robot, true = SimulatedRobot(scenario), []
     stride = round(scenario.controller.period / robot.step)

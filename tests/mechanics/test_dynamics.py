@@ -107,7 +107,7 @@ def test_of_all_chunks_the_worst_leg_is_named(monkeypatch):
     assert (caught.value.leg, caught.value.margin) == (margins.argmin(), margins.min())
 
 
-def test_a_record_stands_for_a_robot_and_a_payload_adds_its_weight_and_inertia():
+def test_a_record_replaces_a_robot_and_a_payload_adds_its_weight_and_inertia():
     pose, motion = some_poses(5), (0.3 * np.ones(6), np.ones(6))
     longer = robot_record(ROBOT).copy()
     longer["rod_length"] = 0.41

@@ -76,7 +76,7 @@ def test_an_angle_that_is_no_number_never_counts_as_convergence(leg):
     assert not error <= 1e-9
 
 
-def test_forward_kinematics_says_when_the_angles_cannot_be_assembled():
+def test_forward_kinematics_reports_angles_that_cannot_be_assembled():
     # Shafts so far out that no rod comes back to the platform, once the cranks point outwards.
     wide = ROBOT.replace(shaft_circle_radius=0.48, home_height=0.02, branch=1)
     with pytest.raises(ForwardKinematicsError, match="rod-length error") as caught:

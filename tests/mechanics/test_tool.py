@@ -151,7 +151,7 @@ def test_a_push_at_the_tool_moves_the_platform_as_the_same_push_at_p(plant):
     np.testing.assert_allclose(told, again, atol=0.03 * np.abs(plain - plain[0]).max())
 
 
-def test_a_controller_and_pictures_are_told_of_the_tool():
+def test_a_controller_and_pictures_know_the_tool():
     robot = with_tool(UNEQUAL, *TOOL)
     scenario = Scenario(robot=robot, sensors="encoders", motors=TorqueMotors(), reference="hold")
     np.testing.assert_allclose(scenario.reference.evaluate(0.0)[0], robot.home_pose)

@@ -59,7 +59,7 @@ def exact(robot, poses=POSES):
 
 
 @pytest.mark.parametrize(("scale", "tolerance"), [(1.0, 2e-5), (1e-2, 1e-6)])
-def test_drake_accelerates_as_the_exact_model_says(scale, tolerance):
+def test_drake_accelerates_as_the_exact_model(scale, tolerance):
     robot = light_legs(ROBOT, scale)
     assert relative_error(robot, measured(robot, POSES, 9.81), exact(robot)).max() < tolerance
 

@@ -103,7 +103,7 @@ def test_saturated_torque_shows_the_limit_and_the_command_of_that_motor_alone():
 
 
 @EACH
-def test_a_run_says_how_it_ended_and_marks_when(plot):
+def test_a_plot_names_how_the_run_ended_and_marks_when(plot):
     assert plot(make_log()).get_suptitle() == "made up: completed, 9.975 s"
     outcome = {"status": "failed", "reason": "crank_dead_centre", "leg": 5, "end_time": 2.48}
     figure = plot(dataclasses.replace(make_log(rows=100), **outcome))

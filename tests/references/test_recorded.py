@@ -59,7 +59,7 @@ def test_angles_that_wrap_are_followed_as_if_they_did_not(tmp_path, middle):
     np.testing.assert_allclose(derivatives, those, atol=1e-8)
 
 
-def test_a_run_is_as_long_as_its_recording_unless_it_is_told(tmp_path):
+def test_a_run_is_as_long_as_its_recording_by_default(tmp_path):
     motion = {"kind": "recorded", "motion_file": str(save(table(), tmp_path / "motion.csv")), "settle": 0.25}
     scenario = Scenario(reference=motion)
     assert scenario.duration == 3.125

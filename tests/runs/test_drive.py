@@ -57,7 +57,7 @@ def driven(machine, scenario=BASE, seconds=None):
     return Drive(scenario, machine, connected(scenario, machine, seconds)).run()
 
 
-def test_it_comes_from_where_the_robot_stands_to_the_motion_and_rests_at_its_end():
+def test_it_approaches_the_motion_from_the_pose_of_the_robot_and_rests_at_its_end():
     machine = Servos(inverse_kinematics(BASE.robot, ROTATED))
     start = connected(BASE, machine)
     np.testing.assert_allclose(start.pose, ROTATED, atol=1e-6)
@@ -229,7 +229,7 @@ def test_a_robot_that_torques_move_is_held_at_the_pose_that_is_measured():
     np.testing.assert_allclose(log["pose"][at - 1], last, atol=1e-3)
 
 
-def test_the_way_begins_where_the_robot_stands_at_the_first_command():
+def test_the_approach_begins_at_the_pose_of_the_first_command():
     machine = Servos()
     start = connected(BASE, machine)
     drive = Drive(BASE, machine, start)
@@ -317,7 +317,7 @@ def test_what_does_not_fit_is_refused_before_anything_moves(change, words):
     assert machine.commands == []
 
 
-def test_a_machine_that_tells_no_angles_teaches_nothing():
+def test_adaptation_is_refused_for_a_machine_without_angles():
     machine = Servos()
     machine.reads = False
     with pytest.raises(ConfigurationError, match=r"adaptation.*does not tell its angles"):
@@ -367,7 +367,7 @@ def dead(leg):
 
 
 @pytest.mark.parametrize(("leg", "at"), [(0, 2), (1, 2), (1, 250), (4, 250)])
-def test_a_motor_that_dies_stops_it_within_two_seconds(leg, at):
+def test_a_dead_motor_stops_the_drive_within_two_seconds(leg, at):
     """10 deg at 0.5 Hz; of the legs that move least, and after it has moved for long."""
     nod = {"kind": "sine", "amplitude": [0, 0.1745, 0, 0, 0, 0], "angular_frequency": 3.1416}
     machine = Servos(at=at, event=dead(leg))
@@ -413,7 +413,7 @@ def motion_frequency(machine, log):
         (lambda now: 0.42 if 6.0 < now < 6.02 else 0.02, 1, "it paused once, for up to 0.42 s", 0.06),
     ],
 )
-def test_the_tick_of_a_machine_is_measured_told_and_used(tick, counts, words, within):
+def test_the_tick_of_a_machine_is_measured_reported_and_used(tick, counts, words, within):
     sine = {"kind": "sine", "amplitude": [0, 0.05, 0, 0, 0, 0], "angular_frequency": 6.2832}
     machine = Ticking(tick, counts)
     scenario = BASE.replace({"duration": 10.0, "reference": sine})

@@ -102,7 +102,7 @@ def test_what_is_not_finite_does_not_break_the_page(tmp_path):
     assert "NaN" not in re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.DOTALL)[1]
 
 
-def test_errors_and_torques_of_several_runs_stand_beside_their_robots(tmp_path):
+def test_errors_and_torques_of_several_runs_are_beside_their_robots(tmp_path):
     first, second = make_log(), dataclasses.replace(make_log(rows=51), status="stopped", message="why\nand where")
     torque = np.arange(606.0).reshape(101, 6)
     first.signals["torque_applied"] = torque

@@ -114,7 +114,7 @@ def test_loads_and_pushes_that_the_controller_does_not_know_are_no_fault(name):
 
 
 @pytest.mark.slow
-def test_more_than_is_allowed_is_told_and_null_allows_all():
+def test_an_unexplained_torque_beyond_its_limit_stops_the_run_and_null_allows_all():
     heavy = {"plant.payload_mass": 0.5, "plant.payload_position": [0.05, 0.0, 0.0]}
     log = run(heart(**heavy, **{"safety.unexplained_torque": 0.02}))
     assert (log.status, log.reason) == ("stopped", "unexplained_torque")

@@ -73,7 +73,7 @@ CASES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["closed_form", "drake"])
 @pytest.mark.parametrize(("name", "changes"), CASES.values(), ids=CASES.keys())
-def test_fed_with_what_a_run_read_its_file_says_what_the_run_logged(name, changes, kind, tmp_path):
+def test_a_controller_fed_with_the_readings_of_a_run_gives_what_the_run_logged(name, changes, kind, tmp_path):
     log = run(short(name, {**changes, "plant.kind": kind}))
     assert log.status == "completed"
     names = [each for each in ("torque", "error", "integral", "innovation") if each in log.signals]

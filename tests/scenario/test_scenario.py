@@ -213,7 +213,7 @@ def test_another_kind_drops_the_keys_of_the_old_one_and_keeps_those_that_both_ha
     assert Scenario.from_dict({"controller": {"period": 0.002}}).controller == LqiOptions(period=0.002)
 
 
-def test_names_that_nothing_has_are_told_what_was_meant():
+def test_unknown_names_have_a_suggestion():
     for load, name, meant in (
         (load_scenario, "paper_fig", "paper_fig7"),
         (load_robot, "reachi_mini", "reachy_mini"),

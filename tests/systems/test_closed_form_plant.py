@@ -34,7 +34,7 @@ def rate_of(plant, context):
     return plant.EvalTimeDerivatives(context).CopyToVector()
 
 
-def test_it_moves_as_the_equations_of_motion_say():
+def test_it_obeys_the_equations_of_motion():
     plant = ClosedFormPlant(ROBOT, gravity=3.7)
     context = at(plant, POSE, RATE, TORQUE)
     expected = np.append(RATE, forward_dynamics(ROBOT, POSE, RATE, TORQUE, 3.7))

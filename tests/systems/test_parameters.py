@@ -35,7 +35,7 @@ def torque_at_home(controller, context):
     return controller.torque.Eval(context)
 
 
-def test_what_a_context_says_of_the_robot_holds_in_it_and_in_its_clones_alone():
+def test_a_robot_in_a_context_applies_to_it_and_its_clones_alone():
     controller = LqiController(ROBOT, LQI, 9.81)
     context, other = controller.CreateDefaultContext(), controller.CreateDefaultContext()
     light = torque_at_home(controller, context)

@@ -49,7 +49,7 @@ def test_ratios_are_to_the_best_fixed_setting_in_the_same_run():
 
 
 @pytest.mark.slow
-def test_a_small_evaluation_is_written_taken_up_again_and_says_what_a_run_costs(tmp_path, monkeypatch):
+def test_a_small_evaluation_is_written_continued_and_has_the_cost_of_a_run(tmp_path, monkeypatch):
     few = {"paper": ["hold"], "reachy_mini": ["nod"]}
     monkeypatch.setattr("stewart_drake.training.benchmark.kinds_of", lambda robot, _: few.get(robot, []))
     candidates = {BEST_FIXED: with_setting([0.0] * 4), "quiet": with_setting([0.0, 0.0, 0.0, -1.0])}
