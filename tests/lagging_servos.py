@@ -2,9 +2,8 @@
 
 import numpy as np
 
+from stewart_drake import inverse_kinematics, load_robot
 from stewart_drake.machines.machine import Reading
-from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.robot.robot_files import load_robot
 
 ROBOT = load_robot("reachy_mini")
 HOME = inverse_kinematics(ROBOT, ROBOT.home_pose)

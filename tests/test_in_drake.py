@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from conftest import ROOT, make_network
 
-from stewart_drake import Scenario, load_scenario, run
-from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.control.network import load_network
+from stewart_drake import ConfigurationError, Scenario, load_network, load_scenario, run
 
 PAGE = (ROOT / "docs" / "in_drake.md").read_text()
 

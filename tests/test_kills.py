@@ -14,9 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 from conftest import COMMAND, environment
 
-from stewart_drake import run_metrics
+from stewart_drake import load_log, run_metrics
 from stewart_drake.logs.journal import JOURNAL
-from stewart_drake.logs.log import load_log
 from stewart_drake.machines.machine import open_machine
 from stewart_drake.runs.replay import write_replay
 from stewart_drake.scenario.scenario import load_driven

@@ -27,10 +27,9 @@ from simulated_calibration import run_trial as calibrated
 from simulated_identification import Setting
 from simulated_identification import run_trial as identified
 
-from stewart_drake import load_robot, load_scenario, run, run_metrics
+from stewart_drake import load_robot, load_scenario, plan_poses, run, run_metrics
 from stewart_drake.analysis.linear_loop import linear_loops
 from stewart_drake.analysis.margins import loop_margins
-from stewart_drake.estimation.poses import plan_poses
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import conditioning
 from stewart_drake.plant.closed_form import ClosedFormOptions

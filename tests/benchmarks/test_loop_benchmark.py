@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from stewart_drake import Controller, RobotParameters, build_plant, load_scenario
+from stewart_drake import Controller, RobotParameters, build_plant, inverse_kinematics, load_scenario
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.riccati import (
     INTEGRAL,
@@ -20,7 +20,6 @@ from stewart_drake.control.riccati import (
     state_matrix,
 )
 from stewart_drake.mechanics.dynamics import pose_acceleration_map
-from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.systems import diagram
 
 ROBOT = RobotParameters()

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize
 
-from stewart_drake import Controller, load_robot, load_scenario, run
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, Controller, inverse_kinematics, load_robot, load_scenario, run
 from stewart_drake.control import adaptation_laws as law
 from stewart_drake.control import square_root_filter
 from stewart_drake.control.adaptation import (
@@ -27,7 +26,6 @@ from stewart_drake.control.learnt_parameters import first_intervals
 from stewart_drake.control.regression_records import Learnt, Sample
 from stewart_drake.control.square_root_filter import N_MOTOR, N_SHARED
 from stewart_drake.logs.signals import SIGNALS
-from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import Legs
 from stewart_drake.scenario.assembly import context_of
 

@@ -8,8 +8,7 @@ import pytest
 from recordings import motion
 from servo_identification_study import GUESS, NOMINAL, Hidden, hidden, scenario
 
-from stewart_drake import identify_servos, load_scenario, run
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, ServoRecording, identify_servos, load_scenario, run
 from stewart_drake.estimation.servos import (
     COULOMB,
     DAMPING,
@@ -18,7 +17,6 @@ from stewart_drake.estimation.servos import (
     PARAMETERS,
     ROTOR,
     STIFFNESS,
-    ServoRecording,
     load_servo_recording,
     take_angles,
 )

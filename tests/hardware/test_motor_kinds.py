@@ -5,9 +5,8 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from stewart_drake import Controller, load_scenario, run
+from stewart_drake import ConfigurationError, Controller, load_scenario, run
 from stewart_drake.base.config import Positive
-from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.registry import MOTORS
 from stewart_drake.hardware.motors import Command, MotorOptions, Torque, within_limit
 from stewart_drake.loop.part import Part

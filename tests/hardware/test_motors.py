@@ -2,11 +2,7 @@ import numpy as np
 import pytest
 
 from stewart_drake.hardware.faults import CommandFault, MotorFault
-from stewart_drake.hardware.motors import (
-    DeadMotor,
-    LinkOptions,
-    TorqueMotors,
-)
+from stewart_drake.hardware.motors import DeadMotor, LinkOptions, TorqueMotors
 
 WANTED = np.array([0.123, -0.456, 1.0, 4.9, -4.9, 0.0])
 ANGLES = np.linspace(-1.0, 1.0, 6)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from stewart_drake import load_robot, load_scenario, run
 from stewart_drake.live.instrument import (
     FORCE,
     MOMENT,
@@ -20,9 +21,6 @@ from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.session import LiveSession
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_jacobian, rotation_matrix
-from stewart_drake.robot.robot_files import load_robot
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import load_scenario
 
 SWAY = {"plant.kind": "closed_form"}
 STILL = {**SWAY, "reference": {"kind": "hold"}}

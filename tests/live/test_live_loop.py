@@ -5,10 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, Scenario, load_scenario
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.session import CONTROLLERS, LiveSession
-from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 FAST = {"plant.kind": "closed_form", "duration": 0.4}
 STILL = {**FAST, "reference": "hold"}

@@ -8,13 +8,10 @@ import pyarrow.parquet as pq
 import pytest
 from made_logs import made_log
 
+from stewart_drake import ConfigurationError, Scenario, load_log, run
 from stewart_drake.base.atomic_files import seal
-from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.tables import AXES
-from stewart_drake.logs.log import load_log
 from stewart_drake.logs.signals import SIGNALS
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import Scenario
 
 
 @pytest.fixture

@@ -5,16 +5,12 @@ import numpy as np
 import pytest
 from made_logs import made_log
 
+from stewart_drake import ReferenceLimits, RobotParameters, inverse_kinematics, load_scenario, run, run_metrics
 from stewart_drake.base.errors import NotFiniteError, SafetyStop
-from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
-from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.checks import likely_cause
-from stewart_drake.runs.simulation import run
 from stewart_drake.safety import LEVELS, MONITORS
-from stewart_drake.scenario.limits import ReferenceLimits, longest_excursion
-from stewart_drake.scenario.scenario import load_scenario
+from stewart_drake.scenario.limits import longest_excursion
 
 TRIP = {"monitor": "deadline", "level": "hold", "time": 0.4, "leg": 2, "cause": None, "worst": "safe_hold"}
 TAKEN = {"monitor": "crank_speed", "time": 0.5, "leg": 1}
@@ -79,12 +75,7 @@ def test_a_start_that_is_off_has_to_come_back():
 
 @pytest.mark.parametrize(
     ("share", "status", "warned"),
-    [
-        (0.55, "completed", False),
-        (0.45, "completed", True),
-        (2.05, "lost", False),
-        (0.24, "lost", False),
-    ],
+    [(0.55, "completed", False), (0.45, "completed", True), (2.05, "lost", False), (0.24, "lost", False)],
 )
 def test_an_error_as_large_as_the_motion_is_a_run_lost_and_half_of_it_has_a_warning(share, status, warned):
     rows = rows_of(**swinging(share))
@@ -112,12 +103,7 @@ def test_a_motion_that_is_over_before_errors_count_is_compared_too():
 
 
 @pytest.mark.parametrize(
-    ("until", "duration", "status"),
-    [
-        (2.9, 10.0, "completed"),
-        (4.5, 10.0, "lost"),
-        (0.49, 0.49, "completed"),
-    ],
+    ("until", "duration", "status"), [(2.9, 10.0, "completed"), (4.5, 10.0, "lost"), (0.49, 0.49, "completed")]
 )
 def test_the_first_3_s_or_six_tenths_are_for_settling_and_half_a_second_has_no_time_to(until, duration, status):
     signals, time = swinging(1.0), 0.1 * duration * TIMES

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from made_machines import ROOT, SERVOS, TORQUES, go_on
 
+from stewart_drake import Controller, inverse_kinematics
 from stewart_drake.machines.machine import MachineError, open_machine
 from stewart_drake.machines.simulated import SimulatedRobot
-from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.plant.plant_options import ANGLES
-from stewart_drake.scenario.controller import Controller
 
 
 @pytest.mark.parametrize("scenario", [SERVOS, TORQUES], ids=["servos", "torques"])

@@ -8,19 +8,18 @@ import pytest
 from hypothesis import given
 from strategies import ROBOT, robots_and_poses, vectors
 
-from stewart_drake.base.errors import ConfigurationError, UnreachablePoseError
+from stewart_drake import ConfigurationError, forward_dynamics, inverse_dynamics, leg_geometry
+from stewart_drake.base.errors import UnreachablePoseError
 from stewart_drake.mechanics import dynamics, kinematics
 from stewart_drake.mechanics.dynamics import (
     crank_map,
     force_map,
     force_map_of_legs,
-    forward_dynamics,
-    inverse_dynamics,
     static_torque,
     task_bias,
     task_inertia,
 )
-from stewart_drake.mechanics.kinematics import leg_geometry, pose_rate_to_twist, twist_jacobian
+from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import robot_record, with_payload
 
 DATA = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())

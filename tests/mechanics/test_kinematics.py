@@ -10,14 +10,12 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from strategies import ROBOT, robots_and_poses, vectors
 
-from stewart_drake.base.errors import ConfigurationError, ForwardKinematicsError
+from stewart_drake import ConfigurationError, forward_kinematics, inverse_kinematics, leg_geometry
+from stewart_drake.base.errors import ForwardKinematicsError
 from stewart_drake.mechanics.kinematics import (
     conditioning,
     crank_rates,
     euler_rate_matrix,
-    forward_kinematics,
-    inverse_kinematics,
-    leg_geometry,
     newton,
     pose_jacobian,
     pose_rate_to_twist,

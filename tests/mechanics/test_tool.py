@@ -113,10 +113,7 @@ def test_home_is_the_same_pose_of_the_platform(tool):
 @given(TOOLS)
 def test_what_is_measured_goes_back_into_the_platforms_frame(tool):
     robot = with_tool(UNEQUAL, *tool)
-    for same in (
-        torques.as_robot(robot, torques.values_of(robot)),
-        geometry.as_robot(robot, np.zeros(geometry.SIZE)),
-    ):
+    for same in (torques.as_robot(robot, torques.values_of(robot)), geometry.as_robot(robot, np.zeros(geometry.SIZE))):
         assert same.tool == robot.tool
         np.testing.assert_allclose(same.joints_in_platform, UNEQUAL.joints_in_platform, atol=1e-12)
         for name in ("platform_center_of_mass", "platform_inertia", "platform_products"):

@@ -13,9 +13,8 @@ from mujoco_robot import MujocoRobot
 from plant_runs import Run
 from strategies import ROBOT
 
+from stewart_drake import DrakeOptions, load_robot
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.plant.plant_options import DrakeOptions
-from stewart_drake.robot.robot_files import load_robot
 
 FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]
 DURATION, STEP = 0.15, 5e-5

@@ -8,27 +8,26 @@ import mujoco
 import numpy as np
 import pytest
 
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure
-from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.kinematics import (
-    crank_rates,
+from stewart_drake import (
+    ConfigurationError,
+    RobotParameters,
     inverse_kinematics,
     leg_geometry,
-    reach_margin,
-    rotation_matrix,
-    twist_jacobian,
+    load_robot,
+    load_scenario,
+    run,
+    run_metrics,
 )
+from stewart_drake.base.errors import NotFiniteError, RunFailure
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.kinematics import crank_rates, reach_margin, rotation_matrix, twist_jacobian
 from stewart_drake.plant import mjcf_legs
 from stewart_drake.plant.closed_form import ClosedFormOptions
 from stewart_drake.plant.model_files import mjcf_text
 from stewart_drake.plant.mujoco_plant import MujocoOptions
 from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES, POSE, RATE
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.robot_files import load_robot, robot_model
+from stewart_drake.robot.robot_files import robot_model
 from stewart_drake.runs.checks import compared_with_model
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import load_scenario
 
 PAPER, HEAD, GRAVITY, STILL = RobotParameters(), load_robot("reachy_mini"), 9.81, np.zeros(6)
 MOTORS = range(6)

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from made_logs import made_log
 
-from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.plotting import plot_learnt, plot_states, plot_torques, save_figure
+from stewart_drake import Scenario, plot_states, plot_torques, run_metrics
+from stewart_drake.plotting import plot_learnt, save_figure
 from stewart_drake.plotting.study_plots import plot_map, plot_rmse, plot_sweep
-from stewart_drake.scenario.scenario import Scenario
 
 AXES = ("φ", "θ", "ψ", "X", "Y", "Z")
 EACH = pytest.mark.parametrize("plot", [plot_states, plot_torques, plot_learnt])

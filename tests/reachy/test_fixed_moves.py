@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from lagging_servos import Servos
 
-from stewart_drake import ConfigurationError, load_scenario, run
-from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake import ConfigurationError, Scenario, inverse_kinematics, load_robot, load_scenario, run
 from stewart_drake.reachy.moves import HEAD_HEIGHT, STEP, Move, move_json, moves_of, read_move
 from stewart_drake.reachy.possible_moves import (
     SMOOTHEST,
@@ -18,10 +17,9 @@ from stewart_drake.reachy.possible_moves import (
     motion_of,
     shaped_move,
 )
-from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.runs.checks import check_scenario
 from stewart_drake.runs.drive import connected
-from stewart_drake.scenario.scenario import Scenario, load_driven
+from stewart_drake.scenario.scenario import load_driven
 
 ROBOT = load_robot("reachy_mini")
 SERVO = ["motors={kind: position, preset: xl330_m288, delay: 0.01}", "controller={kind: feedforward}", "safety=null"]

@@ -6,10 +6,8 @@ import pyarrow.csv as pc
 import pyarrow.parquet as pq
 import pytest
 
-from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.references import RecordedReference, SineReference, center_of
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import Scenario
+from stewart_drake import ConfigurationError, Scenario, SineReference, run
+from stewart_drake.references import RecordedReference, center_of
 
 COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")
 MOTION = SineReference()

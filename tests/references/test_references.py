@@ -7,7 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from references.laws import KINDS, bursts, check_derivatives, check_smooth, ends, moves, simple, six, splines, sums
 
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, Scenario, paper_reference
 from stewart_drake.references import (
     AdjustedReference,
     HeartbeatReference,
@@ -17,9 +17,7 @@ from stewart_drake.references import (
     SumReference,
     TremorReference,
     center_of,
-    paper_reference,
 )
-from stewart_drake.scenario.scenario import Scenario
 
 CENTER = (0.1, -0.05, 0.2, 0.01, -0.02, 0.3)
 

@@ -30,10 +30,7 @@ def feasible(robot, reference, duration):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("robot", "reference", "duration"),
-    [(ROBOT, FAST, 1.0), (ROBOT, TOO_FAR, 4.0)],
-)
+@pytest.mark.parametrize(("robot", "reference", "duration"), [(ROBOT, FAST, 1.0), (ROBOT, TOO_FAR, 4.0)])
 def test_the_size_found_is_feasible_and_one_per_cent_more_is_not(robot, reference, duration):
     fitted, scale = fit_amplitude(robot, LIMITS, reference, duration, GRAVITY)
     assert 0.05 < scale < 1.0

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 from lagging_servos import HOME, Servos
 
-from stewart_drake import load_scenario, run_metrics
-from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError, RunFailure
-from stewart_drake.logs.log import load_log
+from stewart_drake import ConfigurationError, inverse_kinematics, load_log, load_scenario, run_metrics
+from stewart_drake.base.errors import InfeasibleReferenceError, RunFailure
 from stewart_drake.machines.machine import MachineError, Reading
 from stewart_drake.machines.simulated import SimulatedRobot
-from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.references.paced import RAMP
 from stewart_drake.runs.drive import APPROACH_SPEED, HOLD_TIME, Drive, connected
 from stewart_drake.runs.replay import write_replay

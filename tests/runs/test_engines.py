@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, load_scenario, run, run_metrics
 from stewart_drake.live.loop import LiveLoop
-from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import load_scenario
 from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 PUSH = {"kind": "step", "wrench": [0.02, 0.0, 0.03, 3.0, -2.0, -4.0], "time": 0.05, "until": 0.1}

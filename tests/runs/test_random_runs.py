@@ -5,8 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import Scenario
+from stewart_drake import Scenario, run
 
 RUNS, PARTS = 90, 3
 HERE = [pytest.param(part, marks=[pytest.mark.long] if part else []) for part in range(PARTS)]

@@ -11,11 +11,8 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from stewart_drake.logs.log import SimulationLog
-from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.runs.pictures import write_film
+from stewart_drake import Scenario, SimulationLog, build_plant, write_film
 from stewart_drake.runs.replay import nearest_rows, write_replay
-from stewart_drake.scenario.scenario import Scenario
 
 
 def make_log(rows=101, period=0.005, **outcome):

@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.plant.plant_options import DrakeOptions
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.robot_files import load_robot
+from stewart_drake import DrakeOptions, RobotParameters, build_plant, inverse_kinematics, load_robot
 from stewart_drake.runs.scene import link_poses
 
 ROBOTS = {"paper": RobotParameters(), "reachy_mini": load_robot("reachy_mini")}

@@ -4,9 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from stewart_drake.runs.simulation import run
+from stewart_drake import load_scenario, run
 from stewart_drake.safety.residual import apply_dry_friction
-from stewart_drake.scenario.scenario import load_scenario
 from stewart_drake.studies.faults import FAULTS, base, stopped_at, travel
 
 ONSET = 0.4

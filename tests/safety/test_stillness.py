@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from stewart_drake import load_robot, load_scenario, run
-from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake import Controller, inverse_kinematics, load_robot, load_scenario, run
 from stewart_drake.safety import Stillness, first_standstill
-from stewart_drake.scenario.controller import Controller
 from stewart_drake.studies.faults import travel
 from stewart_drake.studies.runs import simulate_unchecked
 

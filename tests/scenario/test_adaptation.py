@@ -5,15 +5,14 @@ from typing import ClassVar, Literal
 import numpy as np
 import pytest
 
-from stewart_drake import load_scenario, run
+from stewart_drake import ConfigurationError, inverse_kinematics, leg_geometry, load_scenario, run
 from stewart_drake.base.config import Positive
-from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import fields, new_record
 from stewart_drake.base.registry import ADAPTATIONS
 from stewart_drake.control.base import AdaptationOptions
 from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.loop.part import Part
-from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry
+from stewart_drake.mechanics.kinematics import crank_rates
 
 
 class FrictionLearner(AdaptationOptions):

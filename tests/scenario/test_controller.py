@@ -282,10 +282,7 @@ def test_readings_that_are_too_old_reach_the_deadline():
 
 KINDS = [
     {"kind": kind, "saturation": saturation, "period": 0.001}
-    for kind, ways in {
-        "lqi": ("none", "clamp", "back_calculation"),
-        "computed_torque": ("none", "clamp"),
-    }.items()
+    for kind, ways in {"lqi": ("none", "clamp", "back_calculation"), "computed_torque": ("none", "clamp")}.items()
     for saturation in ways
 ] + [{"kind": "pid", "period": 0.001}]
 

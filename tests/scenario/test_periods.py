@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from stewart_drake import Controller, load_scenario, run
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, Controller, load_scenario, run
 
 SLOW_BUS = {"duration": 0.3, "controller.period": 0.004, "command_delay": 1, "tuner.period": 0.02}
 FAST_READINGS = {**SLOW_BUS, "estimator.period": 0.001}

@@ -158,11 +158,7 @@ def test_an_override_sets_one_key(text, key, value):
         ("reference.center[6]=3", "reference.center[6]", "center has components from 0 to 5"),
         ("initial_offset=3", "initial_offset", "a list of 6 numbers [rad, m]"),
         (".=3", ".", "a key such as"),
-        (
-            "tuner.kappa=2",
-            "tuner.kappa",
-            "no such key, got 2; kind policy has it. The keys here are kind, period",
-        ),
+        ("tuner.kappa=2", "tuner.kappa", "no such key, got 2; kind policy has it. The keys here are kind, period"),
         ("duration=-1", "duration", "a positive number [s]"),
         ("duration=3 kg", "duration", "a number [s], or one with s, ms, us, min behind it, got '3 kg'"),
         (

@@ -2,11 +2,8 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from stewart_drake import HoldReference
-from stewart_drake.base.errors import ConfigurationError, DrakeCheckError, NotFiniteError
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import Scenario
-from stewart_drake.systems.diagram import build_diagram
+from stewart_drake import ConfigurationError, HoldReference, Scenario, build_diagram, run
+from stewart_drake.base.errors import DrakeCheckError, NotFiniteError
 
 PORTS = {
     **{"measurement": 12, "reference": 18, "torque": 6, "torque_applied": 6, "error": 6, "integral": 6, "weights": 2},

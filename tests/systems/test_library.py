@@ -12,15 +12,11 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from strategies import ROBOT
 
-from stewart_drake import systems
-from stewart_drake.base.errors import ConfigurationError, RiccatiError
+from stewart_drake import ConfigurationError, LqiOptions, Scenario, build_plant, paper_reference, systems
+from stewart_drake.base.errors import RiccatiError
 from stewart_drake.base.records import Record, Vec2
 from stewart_drake.base.sampling import on_grid
-from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.loop.part import Part
-from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.references import paper_reference
-from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.systems import PartSystem
 from stewart_drake.systems.library import PlatformWrench
 

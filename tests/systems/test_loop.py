@@ -5,12 +5,10 @@ import pytest
 from pydrake.systems.analysis import Simulator
 from strategies import ROBOT
 
-from stewart_drake import Controller, Scenario, load_scenario, run
+from stewart_drake import ClosedLoop, Controller, Scenario, build_plant, load_scenario, run
 from stewart_drake.base.sampling import on_grid, steps_per
 from stewart_drake.control.policy import disturbance_of, weights_of
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.systems.diagram import ClosedLoop
 
 
 def paper(step=0.001, period=0.005, **changes):

@@ -11,8 +11,7 @@ from pydrake.systems.analysis import MonteCarloSimulation, Simulator
 from pydrake.systems.primitives import Linearize
 from strategies import ROBOT
 
-from stewart_drake import ClosedFormPlant, LqiOptions, Scenario, build_diagram, build_plant, run
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ClosedFormPlant, ConfigurationError, LqiOptions, Scenario, build_diagram, build_plant, run
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.studies.sweep import make_simulator, make_sweep

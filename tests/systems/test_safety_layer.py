@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
+from stewart_drake import Scenario, load_scenario, run
 from stewart_drake.base.yaml_files import shipped_folder
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 BASE = {
     "duration": 0.12,

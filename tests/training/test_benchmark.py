@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 
-from stewart_drake.analysis.feasibility import check_reference
+from stewart_drake import check_reference, run, run_metrics
 from stewart_drake.control.features import CostScales
-from stewart_drake.logs.metrics import run_cost, run_metrics
-from stewart_drake.runs.simulation import run
+from stewart_drake.logs.metrics import run_cost
 from stewart_drake.studies.experiment import run_experiment
 from stewart_drake.studies.workers import Workers
 from stewart_drake.training.benchmark import (
