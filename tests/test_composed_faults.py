@@ -90,7 +90,6 @@ def check_what_the_layer_tells(log):
         took = int((level >= RAMP).argmax())
         assert told["stopped"]["time"] == pytest.approx(log.time[took], abs=1e-9)
         assert told["stopped"]["monitor"] == MONITORS[int(monitor[took])]
-        # What has once been taken is not given back.
         assert (level[took:] >= RAMP).all()
 
 

@@ -90,9 +90,6 @@ def test_a_study_that_is_killed_at_any_instant_ends_as_if_it_had_not_been(here):
     assert results(here / "killed") == results(here / "whole")
 
 
-# --- a motion on a machine ---
-
-
 def driver(out, port):
     arguments = ["drive", "reachy_servos", "--machine", f"udp://127.0.0.1:{port}", "--for", "30", "--out", str(out)]
     return subprocess.Popen(

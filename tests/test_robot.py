@@ -81,9 +81,6 @@ def test_robots_that_cannot_be_built_are_refused_by_the_name_of_each_part(change
     assert [field_of(each) for each in (caught.value, *caught.value.others)] == [f"robot.{k}" for k in key.split()]
 
 
-# --- files -----------------------------------------------------------------------------------------------------------
-
-
 def test_the_shipped_robots_have_the_home_of_their_makers():
     reachy, hexapod = load_robot("reachy_mini"), load_robot("servo_hexapod")
     home = inverse_kinematics(reachy, reachy.home_pose)
@@ -110,8 +107,6 @@ def test_a_scenario_takes_a_robot_by_name_by_file_and_as_a_section(tmp_path):
         assert load_robot(tmp_path / "robot.yaml") == robot
         assert Scenario.from_dict(Scenario(robot=robot).to_dict()).robot == robot
 
-
-# --- tables, and what was meant --------------------------------------------------------------------------------------
 
 HEXAPOD = RobotParameters(
     shaft_circle_radius=0.08, shaft_height=0.02, shaft_half_angle=math.radians(28.0), crank_plane_angle=-math.pi / 2.0,
@@ -334,8 +329,6 @@ def test_each_motor_has_its_own_effort_limit_everywhere():
     layer.tick(*(given[port] if port in given else layer.source(port) for port in layer.inputs), state)
     assert state["torque"][0].tolist() == WEAK.effort_limits.tolist()
 
-
-# --- defaults in the size of the robot -------------------------------------------------------------------------------
 
 SERVO = load_robot("servo_hexapod")
 ALL = {"safety": {}, "tuner": {"kind": "block"}, "sensors": {"kind": "encoders"}}

@@ -19,7 +19,6 @@ OBSERVER = ("estimator={kind: observer}", "model.friction={coulomb: 0.01}")
 SAFETY = (*OBSERVER, "safety={}")
 
 
-# The safety layer costs both alike.
 @pytest.mark.parametrize(
     ("changes", "least"), [((), 9.0), (OBSERVER, 7.5), (SAFETY, 6.5)], ids=["differences", "observer", "safety"]
 )

@@ -72,7 +72,6 @@ def test_the_torque_is_minus_k_times_the_state_and_z_grows_after_it_was_used(
     setpoint, weights = Setpoint(pose - error, 0.5 * rate_error, np.ones(6)), [3.0 * 10.0**log_ratio, 3.0]
     paper = options | {"model": "paper", "feedforward": "none", "weight_length": 1.0}
     output = tick(pose, 1.5 * rate_error, setpoint, weights, before={"integral": z}, **paper)
-    # What is left of a tiny error beside the pose.
     error = pose - setpoint.pose
     np.testing.assert_allclose(output.integral, z + options["period"] * error, atol=1e-15)
     state = np.concatenate([error, rate_error, z])
@@ -188,7 +187,6 @@ def test_so_many_bad_ticks_are_bridged_and_no_more_and_a_good_one_starts_anew(ba
         part.tick(np.concatenate([pose, REST]), np.concatenate(setpoint), weights, state)
         return state.copy().view(np.recarray)[0]
 
-    # None is bridged before a good one.
     with pytest.raises(kind):
         run(**bad)
     for _ in range(2):

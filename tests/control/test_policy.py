@@ -83,7 +83,6 @@ def test_features_are_what_their_names_say():
     assert 10.0 ** values["acceleration"] == pytest.approx(4.01)
     assert (10.0 ** values["noise"], 10.0 ** values["latency"]) == (pytest.approx(2.0), pytest.approx(2.0))
     assert (values["kappa"], 10.0 ** values["error_density"]) == (0.3, pytest.approx(2.1))
-    # The first torque is no change.
     first = features_after((density, none, np.full(6, 5.0), none, reference))
     assert first["torque_change"] == pytest.approx(-6.0)
 

@@ -60,9 +60,6 @@ def late_error(log):
     return float(np.sqrt(np.mean(np.sum(log.error[log.time > 0.6 * log.scenario.duration, :3] ** 2, axis=1))))
 
 
-# --- the estimator ---
-
-
 def arrows(rng, rows=40):
     """A factor with a prior, and the dense rows (n, SIZE), with right-hand sides, that it stands for."""
     motor_rows, shared_rows = np.zeros((6, N_MOTOR, N_MOTOR + N_SHARED + 1)), np.zeros((N_SHARED, N_SHARED + 1))
@@ -259,9 +256,6 @@ def test_columns_of_what_was_learnt_are_the_fields_of_its_record():
     assert Learnt.of(np.arange(20.0)).delay == 1.0
 
 
-# --- the law ---
-
-
 def test_a_robot_with_servos_learns_its_constants_and_follows():
     unaware, learns = run(servos(adaptation=None), check=False), run(servos(), check=False)
     assert late_error(learns) < 0.2 * late_error(unaware)
@@ -308,7 +302,6 @@ def test_a_robot_that_rests_learns_nothing_and_a_frozen_one_keeps_its_model():
         learnt = run(servos(3.0, **changes), check=False)["learnt"]
         np.testing.assert_allclose(learnt, np.tile(learnt[0], (len(learnt), 1)), rtol=1e-12)
         assert learnt[0, 0] == servos().robot.platform_mass
-    # What never gets to be known better is compensated as it is believed.
     frozen, cautious = (
         run(servos(1.0, adaptation={"kind": "regression", "frozen": True, "cautious": each}), check=False)
         for each in (False, True)
@@ -372,7 +365,6 @@ def test_a_load_that_is_put_on_later_is_weighed_though_the_estimate_was_sure_of_
     value, wide = Learnt.of(log["learnt"][-1]), log["learnt_half_width"][:, 0]
     assert (value.mass - scenario.robot.platform_mass) * scenario.gravity == pytest.approx(3.0, rel=0.1)
     np.testing.assert_allclose(value.coulomb, 0.08, rtol=0.1)
-    # It is less sure then than before, and gets surer again.
     before, then, late = (wide[np.searchsorted(log.time, time)] for time in (3.9, 6.0, 11.9))
     assert before < then > late
 
@@ -388,7 +380,6 @@ def test_after_readings_that_were_missing_while_cranks_moved_it_goes_on_to_learn
     broken, out = Controller(scenario.control()), np.empty(6)
     for tick, reading in enumerate(readings):
         broken.step(np.full(6, np.nan) if gap[tick] else reading, log.time[tick], out)
-    # Its numbers are others, as its commands are not those that have moved the robot.
     width = Learnt.of(broken.signal("learnt_half_width"))
     assert width.coulomb.max() < 2.0 * Learnt.of(log["learnt_half_width"][-1]).coulomb.max()
 
@@ -445,7 +436,6 @@ def test_a_load_beside_the_middle_moves_the_centre_of_mass_and_is_no_friction(mo
     # How high it is hardly tells where nothing tilts, and the interval says so.
     assert abs(place[2] - truth[2]) < place[5]
     np.testing.assert_allclose(value.coulomb, 0.01, atol=0.002)
-    # Little of what the load does is left.
     alone = run(scenario.replace({"adaptation": "regression", "plant.payload_mass": 0.0}), check=False)
     late = log.time > 3.0
     assert np.linalg.norm(log.error[late, 3:]) < 1.6 * np.linalg.norm(alone.error[late, 3:])
@@ -491,8 +481,6 @@ def test_one_torque_constant_for_all_motors_keeps_their_friction_in_currents():
     np.testing.assert_allclose(np.array(kept.friction.coulomb) / kept.motors.torque_constant, currents)
     np.testing.assert_allclose(np.array(kept.friction.viscous) / kept.motors.torque_constant, 0.1 * currents)
 
-
-# --- friction of ball joints ---
 
 JOINTS = BallJoints(viscous=0.004, coulomb=0.003, width=0.02, platform=(0, 0, 0, 0, 0, 1))
 LOOKS = {

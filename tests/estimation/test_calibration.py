@@ -81,7 +81,6 @@ def test_without_noise_the_robot_is_found_again(name, known):
     same = aligned(truth, guess, known)
     assert found.change[:OF_ROBOT] == pytest.approx(change_to(guess, same)[:OF_ROBOT], abs=2e-8)
     assert np.abs(found.after).max() < 1e-10
-    # What the tracker would see of any pose is what it does see.
     near = targets(guess, 20, 3)
     at, mine = (transform_of(forward_kinematics(robot, near.angles, near.pose)) for robot in (truth, found.robot))
     assert found.base @ mine @ found.marker == pytest.approx(base @ at @ marker, abs=1e-7)
@@ -99,7 +98,6 @@ def test_what_poses_cannot_tell_is_named_and_kept():
     assert named <= {
         f"leg {leg} {name} {axis}".strip() for leg, name, axis, *_, width in found.rows() if width == np.inf
     }
-    # The rest fits all the same.
     assert found.noise_ratio < 1.3
 
 

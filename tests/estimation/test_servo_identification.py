@@ -50,7 +50,6 @@ def test_hidden_constants_are_within_their_intervals(trial, found):
     share = off[estimated] / found.half_width[estimated]
     assert share.max() < 3.0
     assert (share < 1.0).mean() > 0.6
-    # Intervals that say something.
     width = found.half_width
     assert (width[STIFFNESS] < 0.05 * found.values[STIFFNESS]).all()
     assert width[MASS] < 0.03 * GUESS.platform_mass

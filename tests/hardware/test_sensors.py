@@ -107,12 +107,10 @@ def test_an_observer_that_knows_how_old_its_readings_are_holds_the_robot():
     known = scenario.replace({"duration": 2.0})
     log = run(known)
     assert log.status == "completed"
-    # What was read is up to 2 mrad of roll behind; what is made of it is not.
     assert np.abs(log["pose"][500:] - log["pose"][480:-20])[:, 0].max() > 1.5e-3
     np.testing.assert_allclose(log["measured_pose"][500:], log["pose"][500:], atol=3e-4)
     believed_fresh = known.replace({"model.reading_age": 0.0})
     assert run(believed_fresh).status in ("failed", "lost")
-    # Margins tell the same, for the truth is in the loop whatever is believed.
     for each, stable in ((known, True), (believed_fresh, False)):
         closed = linear_loops(each, each.start()[0][None]).closed[0]
         assert (np.abs(np.linalg.eigvals(closed)).max() < 1.0) == stable

@@ -176,7 +176,6 @@ def test_a_controller_gives_angles_that_a_servo_takes():
     assert controller.unit == "rad"
     held = inverse_kinematics(robot, robot.home_pose) + static_torque(robot, robot.home_pose) / 1.0
     np.testing.assert_allclose(out, held, atol=0.02)
-    # It needs no reading.
     again = Controller(scenario.control())
     again.step(angles, 0.0, angles)
     np.testing.assert_array_equal(angles, out)

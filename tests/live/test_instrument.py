@@ -60,7 +60,6 @@ def test_a_spring_turns_about_the_way_that_is_left_with_at_most_its_largest_mome
     spring = turning_spring(robot, 9.81, held, angle * axis)
     most = 0.2 * largest(robot, 9.81, MOMENT)
     np.testing.assert_allclose(spring.wrench(pose), [*most * min(1.0, angle / 0.3) * axis, 0.0, 0.0, 0.0], atol=1e-9)
-    # Where it has turned so far nothing is left.
     there = Rotation.from_matrix(Rotation.from_rotvec(angle * axis).as_matrix() @ held).as_euler("xyz")
     np.testing.assert_allclose(spring.wrench(np.array([*there, 0.0, 0.0, 0.3])), 0.0, atol=1e-9)
 

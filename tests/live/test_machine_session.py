@@ -66,7 +66,6 @@ def test_a_slider_moves_the_robot_slowly_and_the_motion_ends_with_what_was_check
     assert speeds[-5:].max() < 1e-3
     row = json.loads(session.rows_after(0, 0.0)[1][-1])
     assert (row["ended"], row["motion"], len(row["links"])) == ("stopped", False, 7 * (14 + 13))
-    # The ghost stands where the robot should be.
     np.testing.assert_allclose(row["links"][7 * 12 : 7 * 12 + 3], row["links"][7 * 26 : 7 * 26 + 3], atol=2e-3)
 
 

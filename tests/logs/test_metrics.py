@@ -94,7 +94,6 @@ def test_torque_change_is_taken_from_tick_to_tick_of_the_second_half_within_the_
     # Two rows a tick: the torque stands still between them, and that is no tick.
     torque = np.repeat(np.arange(51.0) % 2.0, 2)[:101, None] * np.ones(6)
     assert change(torque, controller={"period": 0.02}, plant={"time_step": 0.01}, log_period=0.01) == pytest.approx(1.0)
-    # Every second tick is not every tick.
     assert change(torque, controller={"period": 0.005}, plant={"time_step": 0.005}, log_period=0.01) is None
 
 

@@ -116,7 +116,6 @@ def test_a_motion_of_less_than_a_third_of_a_millimetre_is_judged_by_the_bounds_a
     assert verdict(**swinging(0.0, reach)).status == status
     still = {"reference": np.tile(HOME, (101, 1)), "pose": np.tile(HOME + 0.01, (101, 1))}
     assert verdict(**still).status == "completed"
-    # In the size of the robot: the head of Reachy Mini is 3.7 times smaller.
     assert verdict(scenario={"robot": "reachy_mini"}, **swinging(0.0, 3.0 / 11.0 * reach)).status == status
 
 
@@ -196,7 +195,6 @@ def test_a_position_that_is_not_held_has_a_warning_in_the_scale_of_robot_and_sen
     assert "poorly_held" not in warned(scenario=scenario, pose=0.99 * off)
     found = warned(scenario=scenario, pose=1.01 * off)["poorly_held"]
     assert (found["time"], found["number"]) == (pytest.approx(5.333, abs=1e-3), pytest.approx(1.01 * bound))
-    # An excursion, after which it is back: not one that is the start's own offset.
     away = np.zeros((101, 6))
     away[20, 1] = 11.0 * bound / length
     found = warned(scenario=scenario, pose=away)["poorly_held"]
@@ -272,7 +270,6 @@ def test_what_ends_a_run_names_the_likely_cause(scenario, changes, cause):
 
 
 def test_a_loop_was_too_slow_only_where_it_lost_the_robot_at_once():
-    # Reachy Mini can fall by 2 mm between two ticks at 100 Hz, and does not.
     scenario = load_scenario("reachy_nod")
     assert likely_cause(scenario, 0.2).startswith("a slow loop of 100 Hz")
     assert likely_cause(scenario, 3.0) == ""

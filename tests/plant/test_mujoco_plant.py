@@ -50,9 +50,6 @@ def write(path, text):
     return str(path)
 
 
-# --- our own ---
-
-
 # Position [m] within which a second of a run is that of the closed form. With exact sensors and without friction both
 # step by a first-order method with nearly the same error. A reading that rounds to the next count, or a motor that
 # sticks a step later, is worth micrometres, between Drake and the closed form just as much.
@@ -185,9 +182,6 @@ def test_what_blows_up_is_said_without_a_file_of_mujocos(tmp_path, monkeypatch):
     assert [each.name for each in tmp_path.iterdir()] == ["robot.xml"]
 
 
-# --- the maker's ---
-
-
 @makers
 def test_the_makers_model_is_the_robot_that_we_believe():
     scenario = load_scenario("reachy_nod").replace({"plant": {"kind": "mujoco", "model_file": "reachy_mini"}})
@@ -242,9 +236,6 @@ def test_on_the_makers_model_we_nod_as_on_our_own():
         errors.append(run_metrics(run(load_scenario("reachy_nod").replace(changes)))["rmse_norm_deg"])
     assert errors[1] == pytest.approx(errors[0], rel=0.2)
     assert errors[1] < 0.06
-
-
-# --- bad input ---
 
 
 def problem(robot=HEAD, **options):

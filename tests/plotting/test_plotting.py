@@ -97,7 +97,6 @@ def test_saturated_torque_shows_the_limit_and_the_command_of_that_motor_alone():
     np.testing.assert_array_equal(lines(figure.axes[2])["commanded"][:, 1], torque[:, 2])
     for axes in figure.axes:
         assert {5.0, -5.0} <= {line.get_ydata()[0] for line in axes.lines if line.get_linestyle() == ":"}
-        # The command is far off the scale; what the motors gave is not flattened by it.
         assert axes.get_ylim()[1] == pytest.approx(7.0)
 
 

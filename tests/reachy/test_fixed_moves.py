@@ -62,7 +62,6 @@ def test_a_jump_is_averaged_around_it_and_nowhere_else():
     away = np.abs(move.time - 1.5) > 0.3
     np.testing.assert_allclose(fixed.pose[away], move.pose[away], atol=1e-5)
     assert changes["longer %"] == 0.0
-    # Half of the jump, as close to it as a row is.
     assert np.degrees(0.05) < changes["change deg"] <= np.degrees(0.1) + 1e-6
 
 
@@ -138,7 +137,6 @@ def test_what_fix_passes_check_run_and_drive_pass(tmp_path, move):
         check_scenario(scenario.replace({"duration": duration}))
     planned = connected(scenario, Servos())
     assert planned.duration > scenario.reference.end
-    # It rests at its last row, and goes no further.
     np.testing.assert_allclose(scenario.reference.evaluate(99.0)[0], fixed.pose[-1], atol=2e-4)
 
 

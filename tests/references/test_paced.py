@@ -26,7 +26,6 @@ def test_rates_and_accelerations_are_derivatives(stop, approach):
     _, rate, acceleration = made.evaluate(times)
     before, after = made.evaluate(times - h), made.evaluate(times + h)
     np.testing.assert_allclose((after[0] - before[0]) / (2.0 * h), rate, atol=2e-6)
-    # Its jerk is bounded, not continuous.
     np.testing.assert_allclose((after[1] - before[1]) / (2.0 * h), acceleration, atol=2e-4)
 
 

@@ -39,7 +39,6 @@ def test_the_papers_reference_is_37_and_38(time):
     np.testing.assert_allclose(pose[0], math.pi / 6.0 * math.sin(2.0 * time), atol=1e-15)
     np.testing.assert_allclose(pose[5], 0.05 * math.sin(2.0 * time) + 0.3, atol=1e-15)
     assert not pose[1:5].any()
-    # It starts in the centre, at full speed.
     _, start, _ = paper_reference().evaluate(0.0)
     np.testing.assert_allclose(start, [math.pi / 3.0, 0, 0, 0, 0, 0.1])
     assert np.all(np.abs(rate) <= np.abs(start))

@@ -8,7 +8,6 @@ from stewart_drake.live.loop import LiveLoop
 from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 PUSH = {"kind": "step", "wrench": [0.02, 0.0, 0.03, 3.0, -2.0, -4.0], "time": 0.05, "until": 0.1}
-# Without rounding: a count apart, two plants go apart.
 SMOOTH = {"sensors": {"kind": "encoders", "resolution_bits": 0}}
 STIFF = {"tuner": {"kind": "block", "q_pose": 8.0e5, "q_rate": 150.0, "q_integral": 5.0e6}}
 SERVOS = {

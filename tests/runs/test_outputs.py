@@ -79,7 +79,6 @@ def test_a_place_is_taken_before_the_run_and_left_as_it_was_where_nothing_comes_
                 pass
     assert names(tmp_path) == {"runs"}
     assert names(tmp_path / "runs") == set()
-    # What a killed run leaves is in nobody's way.
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / ".lock").touch()
     (tmp_path / "out" / ".log.parquet.7.7.part").touch()

@@ -78,5 +78,4 @@ def test_no_completed_run_of_90_is_worse_than_standing_still(part):
             assert whole <= 1.0, seed
             assert moved >= 0.2 * motion, seed
             assert whole <= 0.5 or "poorly_followed" in {warning["name"] for warning in log.warnings}, seed
-    # Neither is a rare end here.
     assert min(ends["completed", None], ends["lost", "not_followed"]) >= 3

@@ -63,7 +63,6 @@ def test_a_robot_that_friction_holds_stays_where_it_is_when_a_reading_is_lost():
 @pytest.mark.parametrize("learns", [{"model.friction.coulomb": 0.2}, {"adaptation": "regression"}])
 @pytest.mark.parametrize(("kind", "most"), [("nan", 0.5), ("freeze", 5.0)])
 def test_a_stop_without_a_reading_counts_the_friction_that_is_known(kind, most, learns):
-    # It turned by 1.5 to 28 deg while the estimate of the lost crank's speed had no friction.
     fault = {"kind": kind, "leg": 5, "time": 2.15}
     common = {"plant.kind": "closed_form", "plant.motor_friction": 0.2, "duration": 3.0, "safety": {}}
     sensors = {"kind": "encoders", "resolution_bits": 17, "faults": [fault]}

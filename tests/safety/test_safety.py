@@ -223,7 +223,6 @@ def test_without_a_measurement_nothing_is_held_for_longer_than_the_budget():
     done, stop = run([GOOD, *[blind] * 100])
     assert [m.level for m in done[1:]] == [HOLD] * 20
     assert (stop.reason, stop.trip["worst"], stop.trip["time"]) == ("measurement_not_finite", "end", 0.001)
-    # Nor when it is lost while the robot is stopping.
     done, stop = run([GOOD, ASTRAY, *[blind] * 100])
     assert len(done) == 22
     assert (stop.reason, stop.trip["worst"]) == ("following_error", "end")
@@ -270,7 +269,6 @@ def test_a_constant_pose_while_the_reference_moves_is_frozen():
 
     moving, still = HOME + np.arange(150)[:, None] * 1e-4 * np.eye(6)[5], np.tile(HOME, (150, 1))
     assert (of(still, moving), of(moving, moving), of(still, still)) == (-1, None, None)
-    # One last bit of one axis is a sign of life.
     alive = still + np.spacing(0.3) * (np.arange(150) % 2)[:, None] * np.eye(6)[5]
     assert of(alive, moving) is None
 

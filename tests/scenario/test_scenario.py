@@ -47,9 +47,6 @@ def write(folder, text, name="some.yaml"):
     return path
 
 
-# --- what is accepted ---------------------------------------------------------------------------------------------
-
-
 def test_the_defaults_are_the_papers_run():
     scenario = Scenario()
     pose, _, _ = scenario.reference.evaluate(np.array([0.3]))
@@ -76,8 +73,6 @@ def test_what_is_not_believed_otherwise_is_the_simulated_machines():
     assert other.control().controller_model == other.controller_model
     assert not {"robot", "gravity", "plant", "sensors", "command_delay"} & set(other.control().to_dict())
 
-
-# --- what is refused ----------------------------------------------------------------------------------------------
 
 # That every section refuses what means nothing in it under its own key is in test_config.py.
 WRONG = [
@@ -116,12 +111,6 @@ def test_every_problem_has_a_line_and_unknown_keys_come_first():
     assert named == [line.partition(":")[0] for line in lines]
     assert named[0] == "plant.time_stp"
     assert sorted(named[1:]) == ["duration", "gravity", "tuner.kind"]
-
-
-# --- files --------------------------------------------------------------------------------------------------------
-
-
-# --- overrides ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -175,9 +164,6 @@ def test_a_bad_override_is_named(text, key, words):
         load_scenario("paper_fig7", [text])
     assert one_line(caught.value).key == key
     assert words in str(caught.value)
-
-
-# --- round trip and schema ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -116,9 +116,6 @@ def test_a_robot_knows_the_decimal_step_of_a_plant_on_the_grid():
                 add_loop(builder, PLAIN, robot)
 
 
-# --- bad input -------------------------------------------------------------------------------------------------------
-
-
 def built(**names):
     builder = DiagramBuilder()
     robot = add_plant(builder, ROBOT, DrakeOptions(**names))

@@ -161,7 +161,6 @@ def test_a_robot_beside_other_bodies_and_another_robot():
     plant.SetFreeBodyPose(mine, ball, RigidTransform([0.0, 0.0, 3.0]))
     for robot in robots:
         robot.set_state(context, *START)
-    # The same torques move both alike, each in its own frame, and nobody touched the ball.
     simulator.AdvanceTo(0.05)
     state = plant.GetPositionsAndVelocities(mine)
     poses = [robot.pose_and_rate(state)[0] for robot in robots]

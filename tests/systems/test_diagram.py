@@ -51,7 +51,6 @@ def test_a_plain_simulator_does_what_a_run_does(plant):
     after = round(1e3 * plant["broken_rod"]["time"]) if "broken_rod" in plant else 60
     assert not broken[: after + 1].any()
     assert broken[-1] == ("broken_rod" in plant)
-    # A rod is whole again where time was set back.
     simulator = Simulator(loop)
     simulator.AdvanceTo(0.05)
     simulator.get_mutable_context().SetTimeStateAndParametersFrom(loop.CreateDefaultContext())

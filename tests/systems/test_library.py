@@ -157,7 +157,6 @@ def test_outputs_answer_within_the_tick_and_are_held_to_the_next(stop):
     context = simulator.get_context()
     assert read(system.value, context) == [0.5 * count]
     assert read(system.rest, context) == [count + 1, sum(0.5 * k for k in range(count + 1))]
-    # The same as one port.
     assert read(system.result, context) == [0.5 * count, *read(system.rest, context), 0.0]
 
 

@@ -109,7 +109,6 @@ def test_the_plant_gets_the_torque_of_so_many_ticks_before(step, period, delay):
     still = static_torque(case.robot, case.start()[0], case.gravity)
     np.testing.assert_allclose(log["torque_applied"][:late], np.broadcast_to(still, (late, 6)), rtol=1e-12)
     np.testing.assert_array_equal(log["torque_applied"][late:], log["torque"][: len(log.time) - late])
-    # That is no matter of the log alone: the plant by itself, given these torques, goes the same way.
     states, _ = by_hand(case, len(log.time) - 1, lambda _pose, _rate, n: log["torque_applied"][n])
     np.testing.assert_allclose(log["plant_state"], states, atol=1e-11)
 

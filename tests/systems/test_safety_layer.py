@@ -46,7 +46,6 @@ def test_cranks_that_all_stick_read_like_frozen_sensors_and_the_message_names_bo
     assert "a sensor repeats itself, or no crank moves at all" in log.message
 
 
-# That one falls over on purpose.
 NOMINAL = sorted({path.stem for path in shipped_folder("scenarios").glob("*.yaml")} - {"paper_fig7_uncompensated"})
 
 

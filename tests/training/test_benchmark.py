@@ -59,7 +59,6 @@ def test_a_small_evaluation_is_written_continued_and_has_the_cost_of_a_run(tmp_p
     assert {row["seed"] for row in rows} == {HELD_OUT[0]}
     assert {"status", "cost", "ratio", "rmse_norm_mm", "torque_change_rms"} <= set(table.column_names)
     assert {path.name for path in tmp_path.glob("verdict.*")} == {"verdict.parquet", "verdict.csv", "verdict.md"}
-    # A robot that rests wants to be quiet.
     assert estimate(ratios(rows, "quiet", lambda cell: cell[0] == "hold")).value < 0.8
     case = [plan.trials[1].labels[name] for name in ("kind", "robot", "seed")]
     log = run(situation(*case).replace({"plant.kind": "closed_form"}))
