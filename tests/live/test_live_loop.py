@@ -13,19 +13,6 @@ FAST = {"plant.kind": "closed_form", "duration": 0.4}
 STILL = {**FAST, "reference": "hold"}
 
 
-def test_a_push_moves_the_platform_and_the_controller_brings_it_back() -> None:
-    loop = LiveLoop(load_scenario("exact_fig7").replace(STILL))
-    loop.advance(50)
-    before = loop.pose
-    loop.push(np.array([0.0, 0.0, 0.0, 5.0, 0.0, 0.0]), 0.1)
-    loop.advance(60)
-    assert loop.pushed
-    assert loop.pose[3] - before[3] > 2e-5
-    loop.advance(2000)
-    assert not loop.pushed
-    np.testing.assert_allclose(loop.pose, before, atol=1e-6)
-
-
 @pytest.mark.parametrize("kind", ["closed_form", "drake"])
 def test_a_payload_comes_without_a_jump_and_is_carried(kind: str) -> None:
     loop = LiveLoop(load_scenario("exact_fig7").replace({**STILL, "plant.kind": kind}))

@@ -61,13 +61,6 @@ def test_platform_and_reference_move_as_logged(page):
         np.testing.assert_allclose((Rotation.from_quat(at[:, 3:]) * wanted.inv()).magnitude(), 0.0, atol=1e-6)
 
 
-def test_without_a_state_of_drake_the_robot_is_drawn_as_with_it(tmp_path):
-    log = make_log()
-    del log.signals["plant_state"]
-    (run,), (with_state,) = (shown(written(each, tmp_path)) for each in (log, LOG))
-    np.testing.assert_allclose(links(run), links(with_state), atol=1e-6)
-
-
 @given(st.integers(1, 300), st.sampled_from([0.0007, 0.005, 1.0 / 30.0, 1.0]), st.sampled_from([1.0, 30.0, 1000.0]))
 def test_every_frame_shows_the_nearest_row_and_no_row_twice(rows, period, rate):
     time = period * np.arange(rows)

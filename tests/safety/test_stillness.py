@@ -115,22 +115,6 @@ def test_six_frozen_readings_do_not_throw_the_platform(name):
     assert travel(log, 0.9)[1] < 0.02
 
 
-def test_a_run_with_a_crank_that_does_not_move_is_lost():
-    """A servo without torque in a nod of 10 deg, where no bound is left."""
-    servos = {"kind": "position", "stiffness": 20.0}
-    base = load_scenario("reachy_nod").replace(
-        {"motors": servos, "model": {"motors": servos}, "safety": None, "tuner": "fixed", "plant": "closed_form",
-         "controller": {"kind": "feedforward", "period": 0.02}, "estimator": "difference", "duration": 3.0,
-         "bounds.rotation": None, "bounds.position": None}
-    )  # fmt: skip
-    assert simulate_unchecked(base).status == "completed"
-    # Dry friction holds the crank of a dead motor.
-    friction = {"kind": "closed_form", "friction": {"coulomb": [0.0, 0.6, 0.0, 0.0, 0.0, 0.0]}}
-    dead = {"kind": "position", "stiffness": 20.0, "ratios": [1.0, 1e-6, 1.0, 1.0, 1.0, 1.0]}
-    log = simulate_unchecked(base.replace({"plant": friction, "motors": dead}))
-    assert (log.status, log.reason, log.leg) == ("lost", "not_moving", 1)
-
-
 def test_a_run_without_a_bound_on_its_motion_is_not_lost_by_a_crank_that_friction_holds():
     held = "plant.friction.coulomb=[0.02, 0.02, 5, 0.02, 0.02, 0.02]"
     off = "bounds={rotation: null, position: null, error_ratio: null}"
