@@ -100,6 +100,10 @@ def test_currents_give_torques_by_the_constant_rounded_and_within_their_limits()
     state = part.initial.copy()
     part.tick(np.array([0.44, -0.46, 9.0, -9.0, 9.0, -9.0]), np.repeat([0.0, 5.0], [10, 2]), state)
     np.testing.assert_allclose(state["torque"][0], [0.2, -0.25, 1.0, -1.0, 0.5, -1.0])
+    (inverse,) = motors.inverse_parts(setup_for())
+    state = inverse.initial.copy()
+    inverse.tick(np.full(6, 0.4), state)
+    np.testing.assert_allclose(state["command"][0], 0.8)
 
 
 def test_a_preset_sets_servo_and_friction_unless_they_are_given():
