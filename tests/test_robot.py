@@ -127,16 +127,21 @@ def table(path, rows, header=HEADER):
 
 
 def test_a_robot_from_a_table_is_the_robot_that_was_measured(tmp_path):
-    millimetres = {**LEG, "crank_length": 25.0, "rod_length": 140.0, "unit": "mm"}
+    def in_unit(unit, metres):
+        lengths = {"crank_length": 0.025 / metres, "rod_length": 0.14 / metres}
+        return RobotParameters.from_table(NAMED / metres, cranks="towards", unit=unit, **lengths)
+
     for made in (
         RobotParameters.from_table(NAMED, **LEG),
         RobotParameters.from_table(table(tmp_path / "m.csv", NAMED, f"{HEADER}, pair"), **LEG),
-        RobotParameters.from_table(1e3 * NAMED, **millimetres),
+        *(in_unit(*unit) for unit in (("mm", 1e-3), ("cm", 0.01), ("in", 0.0254))),
     ):
         for name in ("shaft_positions", "platform_joints", "crank_zero_directions", "rod_lengths", "branches"):
             np.testing.assert_allclose(getattr(made, name), getattr(HEXAPOD, name), rtol=0.0, atol=1e-11)
         np.testing.assert_allclose(inverse_kinematics(made, made.home_pose), 0.0, atol=1e-10)
         assert made.characteristic_length == pytest.approx(0.065)
+    with pytest.raises(ConfigurationError, match=r"unit: expected m, mm, cm or in, got 'ft'$"):
+        in_unit("ft", 0.3048)
 
 
 def test_a_table_may_have_lengths_branches_stops_and_directions_of_each_leg(tmp_path):
@@ -233,16 +238,6 @@ def test_polar_points_and_an_angle_of_the_crank_are_the_same_robot(tmp_path):
     made = RobotParameters.from_table(table(tmp_path / "p.csv", rows, header), crank_length=0.025, rod_length=0.14)
     for name in ("shaft_positions", "platform_joints", "crank_zero_directions"):
         np.testing.assert_allclose(getattr(made, name), getattr(HEXAPOD, name), rtol=0.0, atol=1e-11)
-
-
-@pytest.mark.parametrize(("unit", "metres"), [("cm", 0.01), ("in", 0.0254)])
-def test_a_table_may_be_in_centimetres_or_inches(unit, metres):
-    lengths = {"crank_length": 0.025 / metres, "rod_length": 0.14 / metres}
-    made = RobotParameters.from_table(NAMED / metres, cranks="towards", unit=unit, **lengths)
-    np.testing.assert_allclose(made.shaft_positions, HEXAPOD.shaft_positions, rtol=0.0, atol=1e-11)
-    assert made.rod_length == pytest.approx(0.14)
-    with pytest.raises(ConfigurationError, match=r"unit: expected m, mm, cm or in, got 'ft'$"):
-        RobotParameters.from_table(NAMED, unit="ft", **LEG)
 
 
 @pytest.mark.parametrize(
