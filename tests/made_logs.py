@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from stewart_drake.logs.log import SimulationLog
+from stewart_drake import Scenario, SimulationLog
 from stewart_drake.logs.signals import SIGNALS
-from stewart_drake.scenario.scenario import Scenario
 
 STATES = tuple(f"motor_{i}_q" for i in range(6)) + ("platform_qw", "platform_z", "platform_wx")
 

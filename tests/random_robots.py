@@ -5,9 +5,8 @@ from functools import cache
 
 import numpy as np
 
-from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.mechanics.kinematics import conditioning, leg_geometry
-from stewart_drake.robot import RobotParameters
+from stewart_drake import ConfigurationError, RobotParameters, leg_geometry
+from stewart_drake.mechanics.kinematics import conditioning
 
 
 @cache

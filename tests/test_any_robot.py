@@ -9,8 +9,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 from random_robots import random_robot
 
-from stewart_drake import DrakeOptions, build_plant, load_robot, load_scenario, run, run_metrics
-from stewart_drake.mechanics.dynamics import forward_dynamics
+from stewart_drake import DrakeOptions, build_plant, forward_dynamics, load_robot, load_scenario, run, run_metrics
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, reach_margin
 from stewart_drake.plant.model_files import sdf_text
 from stewart_drake.studies.faults import FAULTS, fault_study
@@ -33,7 +32,7 @@ def near_home(robot, count, seed=0):
 
 
 @pytest.mark.parametrize("which", [*SHIPPED, *RANDOM])
-def test_its_sdf_stands_closed_at_home_and_moves_as_the_exact_model_says(which):
+def test_its_sdf_is_closed_at_home_and_moves_as_the_exact_model(which):
     robot = robot_of(which)
     for joint in ("universal", "ball"):
         plant = MultibodyPlant(0.001)

@@ -8,13 +8,10 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.logs.metrics import run_metrics
+from stewart_drake import ConfigurationError, load_scenario, run, run_metrics
 from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix
 from stewart_drake.runs.checks import check_scenario
-from stewart_drake.runs.simulation import run
 from stewart_drake.safety import HOLD, LEVELS, MONITORS, RAMP, SafetyOptions
-from stewart_drake.scenario.scenario import load_scenario
 from stewart_drake.studies.faults import FAULTS
 
 SEQUENCES = int(os.environ.get("STEWART_DRAKE_SEQUENCES", "40"))
@@ -93,7 +90,6 @@ def check_what_the_layer_tells(log):
         took = int((level >= RAMP).argmax())
         assert told["stopped"]["time"] == pytest.approx(log.time[took], abs=1e-9)
         assert told["stopped"]["monitor"] == MONITORS[int(monitor[took])]
-        # What has once been taken is not given back.
         assert (level[took:] >= RAMP).all()
 
 

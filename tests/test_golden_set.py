@@ -72,12 +72,12 @@ def with_row(value, row, change):
         (CHAOTIC, lambda weights, share: with_row(weights, 0, share * 1e-6 * np.abs(weights).max())),
     ],
 )
-def test_a_change_beyond_its_tolerance_is_told(recording, key, change):
+def test_a_change_beyond_its_tolerance_is_reported(recording, key, change):
     assert changed(recording, key, change(recording[key], 0.9)) == []
     assert changed(recording, key, change(recording[key], 1.1)) == [key]
 
 
-def test_another_text_or_a_missing_key_is_told(recording):
+def test_another_text_or_a_missing_key_is_reported(recording):
     assert changed(recording, TEXT, "lost") == [TEXT]
     without = {key: value for key, value in recording.items() if key != POSE}
     assert [key for _, key, _ in golden_set.differences(recording, without, {})] == [POSE]
@@ -96,7 +96,7 @@ def test_a_number_is_compared_as_far_as_rounding_leaves_it():
         assert [each for _, each, _ in golden_set.differences(first, other | {key: value}, wider)] == [key]
 
 
-def test_a_setting_reaches_the_checks_and_one_that_differs_is_told(monkeypatch, capsys):
+def test_a_setting_reaches_the_checks_and_one_that_differs_is_reported(monkeypatch, capsys):
     program = "import os; assert os.environ['OPENBLAS_CORETYPE'] == 'Haswell'"
     monkeypatch.setattr(processors, "CHECKS", {"kernels": ["-c", program]})
     assert processors.main("Haswell") == 0

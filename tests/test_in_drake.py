@@ -5,15 +5,14 @@ import re
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, make_network
 
-from stewart_drake import load_scenario, run
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, Scenario, load_network, load_scenario, run
 
 PAGE = (ROOT / "docs" / "in_drake.md").read_text()
 
 
-def test_the_page_runs_and_what_it_says_is_so():
+def test_the_page_runs_and_its_numbers_are_right():
     names = {}
     for block in re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL):
         exec(compile(block, "in_drake.md", "exec"), names)
@@ -87,3 +86,32 @@ def test_a_realistic_loop_wired_by_hand_is_that_of_its_scenario(capsys):
     assert np.degrees(rms[0]) > 0.5
     np.testing.assert_allclose(errors, [*np.degrees(rms[:3]), *(1e3 * rms[3:])], atol=6e-5)
     assert level[0] == log["safety"][:101, 0].max()
+
+
+@pytest.mark.slow
+def test_loops_wired_by_hand_are_the_loops_of_scenarios(tmp_path, capsys):
+    path = tmp_path / "net.json"
+    make_network().save(path)
+    fixed = {"controller": {"feedforward": "platform"}, "tuner": {"kind": "fixed", "omega_q": 10.0, "omega_r": 0.1}}
+    tuned = {"controller": {"feedforward": "gravity"}, "tuner": {"kind": "paper", "weights_file": str(path)}}
+    by_hand = (
+        printed("fixed_weight_lqi", capsys, DURATION=0.5),
+        printed("ann_tuned_lqi", capsys, DURATION=0.5, load_network=lambda: load_network(path)),
+    )
+    for keys, found in zip((fixed, tuned), by_hand, strict=True):
+        log = run(Scenario.from_dict({"duration": 0.5, **keys}))
+        rms = np.sqrt(np.mean(log["error"][log.time >= 0.2499] ** 2, axis=0))
+        expected = [*np.degrees(rms[:3]), *(1e3 * rms[3:])]
+        # Printed to four places.
+        np.testing.assert_allclose(found[0], expected, atol=6e-5 + 1e-3 * np.max(expected))
+    weights = log["weights"]
+    limits = [weights[:, 0].min(), weights[:, 0].max(), weights[:, 1].min(), weights[:, 1].max()]
+    np.testing.assert_allclose(by_hand[1][1], limits, atol=6e-4)
+
+
+def test_the_open_loop_falls_and_stays_closed(capsys):
+    *rows, gap = printed("open_loop", capsys, DURATION=0.15)
+    assert len(rows) == 16
+    assert rows[0][-1] == pytest.approx(310.0)
+    assert rows[-1][-1] < rows[0][-1] - 5.0
+    assert gap[0] < 1e-4

@@ -4,16 +4,8 @@ import numpy as np
 import pytest
 from reachy_mini_rust_kinematics import ReachyMiniRustKinematics
 
-from stewart_drake.mechanics.kinematics import (
-    forward_kinematics,
-    inverse_kinematics,
-    newton,
-    pose_jacobian,
-    reach_margin,
-    roll_pitch_yaw,
-    rotation_matrix,
-)
-from stewart_drake.robot.robot_files import load_robot
+from stewart_drake import forward_kinematics, inverse_kinematics, load_robot
+from stewart_drake.mechanics.kinematics import newton, pose_jacobian, reach_margin, roll_pitch_yaw, rotation_matrix
 
 ROBOT = load_robot("reachy_mini")
 HOME = ROBOT.home_pose

@@ -81,10 +81,7 @@ def test_robots_that_cannot_be_built_are_refused_by_the_name_of_each_part(change
     assert [field_of(each) for each in (caught.value, *caught.value.others)] == [f"robot.{k}" for k in key.split()]
 
 
-# --- files -----------------------------------------------------------------------------------------------------------
-
-
-def test_the_shipped_robots_stand_at_home_as_their_makers_and_remarks_have_them():
+def test_the_shipped_robots_have_the_home_of_their_makers():
     reachy, hexapod = load_robot("reachy_mini"), load_robot("servo_hexapod")
     home = inverse_kinematics(reachy, reachy.home_pose)
     np.testing.assert_allclose(home, 0.6265 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0]), atol=1e-4)
@@ -111,8 +108,6 @@ def test_a_scenario_takes_a_robot_by_name_by_file_and_as_a_section(tmp_path):
         assert Scenario.from_dict(Scenario(robot=robot).to_dict()).robot == robot
 
 
-# --- tables, and what was meant --------------------------------------------------------------------------------------
-
 HEXAPOD = RobotParameters(
     shaft_circle_radius=0.08, shaft_height=0.02, shaft_half_angle=math.radians(28.0), crank_plane_angle=-math.pi / 2.0,
     platform_joint_radius=0.065, platform_half_angle=math.radians(52.0), crank_length=0.025, rod_length=0.14,
@@ -132,16 +127,21 @@ def table(path, rows, header=HEADER):
 
 
 def test_a_robot_from_a_table_is_the_robot_that_was_measured(tmp_path):
-    millimetres = {**LEG, "crank_length": 25.0, "rod_length": 140.0, "unit": "mm"}
+    def in_unit(unit, metres):
+        lengths = {"crank_length": 0.025 / metres, "rod_length": 0.14 / metres}
+        return RobotParameters.from_table(NAMED / metres, cranks="towards", unit=unit, **lengths)
+
     for made in (
         RobotParameters.from_table(NAMED, **LEG),
         RobotParameters.from_table(table(tmp_path / "m.csv", NAMED, f"{HEADER}, pair"), **LEG),
-        RobotParameters.from_table(1e3 * NAMED, **millimetres),
+        *(in_unit(*unit) for unit in (("mm", 1e-3), ("cm", 0.01), ("in", 0.0254))),
     ):
         for name in ("shaft_positions", "platform_joints", "crank_zero_directions", "rod_lengths", "branches"):
             np.testing.assert_allclose(getattr(made, name), getattr(HEXAPOD, name), rtol=0.0, atol=1e-11)
         np.testing.assert_allclose(inverse_kinematics(made, made.home_pose), 0.0, atol=1e-10)
         assert made.characteristic_length == pytest.approx(0.065)
+    with pytest.raises(ConfigurationError, match=r"unit: expected m, mm, cm or in, got 'ft'$"):
+        in_unit("ft", 0.3048)
 
 
 def test_a_table_may_have_lengths_branches_stops_and_directions_of_each_leg(tmp_path):
@@ -214,7 +214,7 @@ def test_pairs_that_are_clear_are_found_whichever_row_is_first(first):
     assert pairs == (((0, 1), (2, 3), (4, 5)) if first == 0 else ((0, 5), (1, 2), (3, 4)))
 
 
-def test_one_crank_that_is_mirrored_is_told_with_its_leg(tmp_path):
+def test_a_mirrored_crank_has_a_warning_with_its_leg(tmp_path):
     header = f"{HEADER}, crank_x, crank_y, crank_z"
     lengths = {"crank_length": 0.025, "rod_length": 0.14}
     rows = np.column_stack([POINTS, HEXAPOD.crank_zero_directions])
@@ -238,16 +238,6 @@ def test_polar_points_and_an_angle_of_the_crank_are_the_same_robot(tmp_path):
     made = RobotParameters.from_table(table(tmp_path / "p.csv", rows, header), crank_length=0.025, rod_length=0.14)
     for name in ("shaft_positions", "platform_joints", "crank_zero_directions"):
         np.testing.assert_allclose(getattr(made, name), getattr(HEXAPOD, name), rtol=0.0, atol=1e-11)
-
-
-@pytest.mark.parametrize(("unit", "metres"), [("cm", 0.01), ("in", 0.0254)])
-def test_a_table_may_be_in_centimetres_or_inches(unit, metres):
-    lengths = {"crank_length": 0.025 / metres, "rod_length": 0.14 / metres}
-    made = RobotParameters.from_table(NAMED / metres, cranks="towards", unit=unit, **lengths)
-    np.testing.assert_allclose(made.shaft_positions, HEXAPOD.shaft_positions, rtol=0.0, atol=1e-11)
-    assert made.rod_length == pytest.approx(0.14)
-    with pytest.raises(ConfigurationError, match=r"unit: expected m, mm, cm or in, got 'ft'$"):
-        RobotParameters.from_table(NAMED, unit="ft", **LEG)
 
 
 @pytest.mark.parametrize(
@@ -335,8 +325,6 @@ def test_each_motor_has_its_own_effort_limit_everywhere():
     assert state["torque"][0].tolist() == WEAK.effort_limits.tolist()
 
 
-# --- defaults in the size of the robot -------------------------------------------------------------------------------
-
 SERVO = load_robot("servo_hexapod")
 ALL = {"safety": {}, "tuner": {"kind": "block"}, "sensors": {"kind": "encoders"}}
 
@@ -353,7 +341,7 @@ def test_the_papers_robot_has_the_defaults_of_the_classes_to_the_last_bit():
     assert Scenario(controller={"kind": "pid"}).controller == PidOptions()
 
 
-def test_another_robot_has_lengths_torques_and_home_of_its_own():
+def test_defaults_scale_with_the_robot():
     scenario = Scenario(robot=SERVO, **ALL)
     length, torque = 0.065 / 0.11, 1.5 / 5.0
     assert scenario.limits.clearance == pytest.approx(0.005 * length)
@@ -379,7 +367,7 @@ def test_what_is_given_stays_and_what_is_off_stays_off():
     assert Scenario.from_dict(scenario.to_dict()) == scenario
 
 
-def test_a_motion_made_in_python_or_inside_a_sum_stands_about_the_robots_home():
+def test_a_motion_made_in_python_or_inside_a_sum_is_centred_at_the_robots_home():
     home = (0.0, 0.0, 0.0, 0.0, 0.0, 0.151)
     assert Scenario(robot=SERVO, reference=HoldReference()).reference.pose == home
     parts = [{"kind": "breathing"}, {"kind": "heartbeat"}]

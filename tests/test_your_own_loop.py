@@ -7,10 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stewart_drake import Scenario, load_scenario, run
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, Scenario, inverse_kinematics, load_scenario, run
 from stewart_drake.live.loop import LiveLoop
-from stewart_drake.mechanics.kinematics import inverse_kinematics
 
 PAGE = (Path(__file__).parents[1] / "docs" / "your_own_loop.md").read_text()
 MINE, GIVEN = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)

@@ -8,8 +8,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from stewart_drake import load_robot, load_scenario
-from stewart_drake.robot import RobotParameters
+from stewart_drake import RobotParameters, load_robot, load_scenario
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = (DOCS / "your_robot.md").read_text()

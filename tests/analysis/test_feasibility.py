@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from strategies import ROBOT
 
-from stewart_drake.analysis.feasibility import check_motion, check_reference, largest_amplitude, refuse_turns
-from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.references import SineReference, paper_reference
-from stewart_drake.scenario.limits import ReferenceLimits
+from stewart_drake import ConfigurationError, ReferenceLimits, SineReference, check_reference, paper_reference
+from stewart_drake.analysis.feasibility import check_motion, largest_amplitude, refuse_turns
 
 ALL = ReferenceLimits()
 NONE = ReferenceLimits(**dict.fromkeys(ReferenceLimits.__pydantic_fields__))

@@ -6,16 +6,10 @@ from pydrake.math import RollPitchYaw
 from scipy.optimize import minimize_scalar
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.mechanics.dynamics import inverse_dynamics
-from stewart_drake.mechanics.kinematics import (
-    conditioning,
-    inverse_kinematics,
-    leg_geometry,
-    pose_jacobian,
-    reach_margin,
-)
+from stewart_drake import ReferenceLimits, inverse_dynamics, inverse_kinematics, leg_geometry
+from stewart_drake.mechanics.kinematics import conditioning, pose_jacobian, reach_margin
 from stewart_drake.scenario import limits
-from stewart_drake.scenario.limits import PLACES, ReferenceLimits, limit_margins
+from stewart_drake.scenario.limits import PLACES, limit_margins
 
 ALL = ReferenceLimits()
 NONE = ReferenceLimits(**dict.fromkeys(ReferenceLimits.__pydantic_fields__))

@@ -107,7 +107,7 @@ def test_rays_end_where_the_named_limit_is_met(kind):
     np.testing.assert_array_equal(cause, ends.limit)
 
 
-def test_directions_stand_for_equal_parts_of_the_sphere_and_ways_and_grid_agree_on_the_volume():
+def test_directions_cover_the_sphere_evenly_and_rays_and_grid_agree_on_the_volume():
     directions = spread_directions(2000)
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-12)
     np.testing.assert_allclose(directions.mean(axis=0), 0.0, atol=1e-3)

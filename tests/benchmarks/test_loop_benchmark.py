@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from stewart_drake import Controller, RobotParameters, build_plant, load_scenario
+from stewart_drake import Controller, RobotParameters, build_plant, inverse_kinematics, load_scenario
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.riccati import (
     INTEGRAL,
@@ -19,9 +19,7 @@ from stewart_drake.control.riccati import (
     split_solution,
     state_matrix,
 )
-from stewart_drake.mechanics.dynamics import pose_acceleration_map, static_torque
-from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.scenario.assembly import loop_of
+from stewart_drake.mechanics.dynamics import pose_acceleration_map
 from stewart_drake.systems import diagram
 
 ROBOT = RobotParameters()
@@ -101,33 +99,6 @@ def test_closed_loop(compare):
     """tick_ratio: plant and control at 1 kHz."""
     loop = Loop(*ALL)
     compare("closed loop", loop.step, "plant alone", loop.plant_alone, per=STEPS, base_per=STEPS)
-
-
-def test_default_run(compare):
-    """run_ratio: `run paper_fig7`, with Drake's Riccati equation and the network every 5 ms, logged as a run is."""
-    loop = Loop(scenario="paper_fig7", sparse=True)
-    compare("default run", loop.step, "plant alone", loop.plant_alone, per=STEPS, base_per=STEPS)
-
-
-def test_the_same_systems_doing_nothing(compare, monkeypatch):
-    """What the Diagram costs: the same systems, ports, events and log, their mathematics left out."""
-    hold = static_torque(ROBOT, ROBOT.home_pose)
-
-    def idle(part):
-        start = part.initial.copy()
-        if part.name in ("controller", "motors"):
-            start["torque"] = hold
-        return part._replace(initial=start, kernel=lambda *_: None, error=None)
-
-    def idle_loop(scenario):
-        loop = loop_of(scenario)
-        sources = tuple(each._replace(evaluate=lambda times: np.tile(wanted, (len(times), 1))) for each in loop.sources)
-        return loop._replace(parts=tuple(map(idle, loop.parts)), sources=sources)
-
-    wanted = np.concatenate([ROBOT.home_pose, np.zeros(12)])
-    monkeypatch.setattr(diagram, "loop_of", idle_loop)
-    loop = Loop("reference={kind: hold}", *ALL)
-    compare("idle loop", loop.step, "plant alone", loop.plant_alone, per=STEPS, base_per=STEPS)
 
 
 @pytest.mark.parametrize("observed", [False, True], ids=["differences", "observer"])

@@ -85,11 +85,6 @@ def test_a_scenario_to_begin_with_has_a_comment_on_each_key_and_runs(call, tmp_p
     assert (status, err.count("\n")) == (2, 1)
 
 
-@pytest.mark.parametrize(("study", "key"), [("sweep", "distributions"), ("compare", "controllers")])
-def test_the_keys_of_a_studys_file_are_explained(call, study, key):
-    assert key in [row["key"] for row in json.loads(call("explain", study, "--json")[1])]
-
-
 @pytest.mark.parametrize("study", ["sweep", "compare", "tune"])
 def test_a_study_to_begin_with_is_one_that_its_command_takes(call, tmp_path, study):
     path = tmp_path / "mine.yaml"

@@ -113,17 +113,6 @@ def test_from_a_log_to_an_identified_robot(call, tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.slow
-def test_a_designed_motion_is_a_scenario(call):
-    status, out, err = call("excite", "--robot", "paper", "--duration", "6s", "--out", "excite.yaml")
-    assert status == 0
-    assert "420 / 420 motions" in err
-    assert "condition number" in out
-    # Within every limit.
-    assert call("check", "excite.yaml")[0] == 0
-
-
-@pytest.mark.long
 def test_servos_from_a_designed_motion_to_a_model(call, tmp_path):
     keys = ("--set", "plant={kind: closed_form, integrator: rk4}", "--set", "sensors.delay=0.004")
     assert call("excite", "--robot", "reachy_mini", "--motors", "xl330_m288", *keys, "--out", "excite.yaml")[0] == 0

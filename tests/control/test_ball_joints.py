@@ -41,6 +41,13 @@ def torques(robot, joints, pose, rate, acceleration):
     return out
 
 
+def rod_axes(legs):
+    """(leg, component, axis): across the rod in and out of the plane of its crank, and along it."""
+    across = np.cross(np.cross(legs.crank, legs.e_n), legs.e_l)
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    return np.stack([np.cross(legs.e_l, across), -across, legs.e_l], axis=2)
+
+
 @pytest.mark.parametrize("robot", ROBOTS, ids=["paper", "reachy"])
 def test_rates_are_those_of_the_bodies(robot):
     pose, h = robot.home_pose + [0.05, 0.02, -0.03, 0.002, 0.001, 0.003], 1e-6
@@ -65,10 +72,7 @@ def test_power_of_the_motors_is_what_the_joints_take(robot):
     pose = robot.home_pose + [0.05, 0.02, -0.03, 0.002, 0.001, 0.003]
     joints = BallJoints(viscous=0.15, coulomb=0.1, width=0.1, platform=(0, 0, 0, 0, 0, 1))
     rates, legs = rates_at(robot, joints, pose, RATE), leg_geometry(robot, pose)
-    across = np.cross(np.cross(legs.crank, legs.e_n), legs.e_l)
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    axes = np.stack([np.cross(legs.e_l, across), across, legs.e_l], axis=1)
-    about = np.einsum("ska,sba->skb", rates.transpose(1, 0, 2), axes)  # Leg, joint, axis.
+    about = np.einsum("ska,sab->skb", rates.transpose(1, 0, 2), rod_axes(legs))  # Leg, joint, axis.
     dry = joints.coulomb * np.abs(about) * np.minimum(1.0, np.abs(about) / joints.width)
     lost = joints.viscous * np.sum(rates**2, axis=2) + dry.sum(axis=2).T
     lost = lost[0].sum() + lost[1, 5]
@@ -76,14 +80,12 @@ def test_power_of_the_motors_is_what_the_joints_take(robot):
     assert made == pytest.approx(lost, rel=1e-9)
 
 
-def test_dry_friction_acts_about_the_axes_that_are_told():
+def test_dry_friction_acts_about_the_given_axes():
     robot, pose = ROBOTS[1], ROBOTS[1].home_pose + [0.05, 0.02, -0.03, 0.002, 0.001, 0.003]
     turned = ((0.0, 0.0, 0.0),) * 5 + ((0.4, -0.2, 0.7),)
     joints = BallJoints(coulomb=0.1, width=1e-6, platform=(0, 0, 0, 0, 0, 1), crank_axes=turned, platform_axes=turned)
     rates, legs = rates_at(robot, joints, pose, RATE), leg_geometry(robot, pose)
-    across = np.cross(np.cross(legs.crank, legs.e_n), legs.e_l)
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    axes = np.stack([np.cross(legs.e_l, across), -across, legs.e_l], axis=2)  # Leg, component, axis.
+    axes = rod_axes(legs)
     axes[5] = axes[5] @ rotation_matrix(turned[5])
     of_cranks = np.abs(np.einsum("ik,ika->ia", rates[0], axes)).sum()
     of_platform = np.abs(rates[1, 5] @ rotation_matrix(pose[:3]) @ rotation_matrix(turned[5])).sum()
@@ -117,10 +119,7 @@ def test_the_axes_of_reachy_daemon_are_those_of_the_makers_file():
         """[rad] between axes, whatever their order and signs."""
         return np.arccos(np.clip(np.abs(some.T @ others).max(axis=0), 0.0, 1.0)).max()
 
-    legs = leg_geometry(robot, robot.home_pose)
-    across = np.cross(np.cross(legs.crank, legs.e_n), legs.e_l)
-    across /= np.linalg.norm(across, axis=1, keepdims=True)
-    rods = np.stack([np.cross(legs.e_l, across), -across, legs.e_l], axis=2)
+    rods = rod_axes(leg_geometry(robot, robot.home_pose))
     for leg in range(6):
         # The rods may turn about themselves: here they are as they come, and in the daemon as they rose from sleep.
         told, there = rotation_matrix(np.array(joints.crank_axes[leg])), axes_of(f"passive_{leg + 1}")
@@ -141,8 +140,3 @@ def test_power_of_the_motors_is_what_the_joints_inertia_gains(robot):
 
     made = torques(robot, joints, pose, RATE, acceleration) @ (pose_jacobian(robot, pose) @ RATE)
     assert made == pytest.approx((energy(h) - energy(-h)) / (2.0 * h), rel=2e-3)
-
-
-def test_at_rest_nothing_is_asked_for():
-    robot = ROBOTS[0]
-    assert not torques(robot, BallJoints(coulomb=0.1, viscous=1.0), robot.home_pose, np.zeros(6), np.zeros(6)).any()

@@ -69,7 +69,7 @@ def computed(pose, rate, setpoint, integral=REST, **options):
 
 @settings(max_examples=40)
 @given(poses(0.6), vectors(6, 0.3), vectors(6, 0.02), vectors(6, 1.0), vectors(6, 0.01))
-def test_the_robot_accelerates_as_the_linear_loop_says(pose, rate, away, wanted_acceleration, integral):
+def test_the_robot_accelerates_as_the_linear_loop(pose, rate, away, wanted_acceleration, integral):
     options = {"natural_frequency": 30.0, "damping": 0.7, "integral_frequency": 4.0, "saturation": "none"}
     got = computed(pose, rate, Setpoint(pose + away, 0.5 * rate, wanted_acceleration), integral, **options)
     expected = wanted_acceleration - 2.0 * 0.7 * 30.0 * 0.5 * rate - 900.0 * (-away + 4.0 * integral)

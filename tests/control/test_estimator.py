@@ -61,7 +61,6 @@ def test_the_rate_is_that_of_now_to_first_order_in_the_period():
 @given(poses(0.7), st.sampled_from([10, 14, 17]))
 def test_the_pose_is_as_good_as_the_counts(pose, bits):
     options = EncoderOptions(resolution_bits=bits)
-    # Whole turns of a crank are no matter.
     readings = np.rint(at(pose) / options.quantum) * options.quantum + 2.0 * np.pi * np.array([1, -1, 0, 3, 0, 2])
     found = run([readings], pose)[0]["measurement"][:6]
     bound = np.abs(np.linalg.inv(pose_jacobian(ROBOT, pose))) @ np.full(6, 0.5 * options.quantum)
@@ -88,7 +87,7 @@ def test_another_assembly_mode_of_the_same_cranks_is_refused(limits):
 
 
 @pytest.mark.parametrize("bad", [np.nan, -np.inf, at(HOME)[2] + 0.5], ids=["not a number", "infinite", "jump"])
-def test_the_last_good_pose_stands_in_for_so_many_ticks_and_no_more(bad):
+def test_the_last_good_pose_bridges_so_many_ticks_and_no_more(bad):
     tick, initial = estimator(DifferenceOptions(hold_ticks=3))
     angles = at(HOME)
     bad = np.where(np.arange(6) == 2, bad, angles)

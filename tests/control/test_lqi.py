@@ -72,7 +72,6 @@ def test_the_torque_is_minus_k_times_the_state_and_z_grows_after_it_was_used(
     setpoint, weights = Setpoint(pose - error, 0.5 * rate_error, np.ones(6)), [3.0 * 10.0**log_ratio, 3.0]
     paper = options | {"model": "paper", "feedforward": "none", "weight_length": 1.0}
     output = tick(pose, 1.5 * rate_error, setpoint, weights, before={"integral": z}, **paper)
-    # What is left of a tiny error beside the pose.
     error = pose - setpoint.pose
     np.testing.assert_allclose(output.integral, z + options["period"] * error, atol=1e-15)
     state = np.concatenate([error, rate_error, z])
@@ -97,7 +96,7 @@ def test_with_full_feedforward_the_error_obeys_the_linear_law(pose, rate, accele
 
 
 @pytest.mark.parametrize(("kind", "place"), [("none", "measured"), ("gravity", "reference"), ("full", "reference")])
-def test_feedforward_is_taken_where_the_option_says(kind, place):
+def test_feedforward_is_evaluated_where_the_option_asks(kind, place):
     pose, wanted = HOME + [0.1, -0.05, 0.08, 0.01, 0.02, -0.005], HOME + [0.02, 0.1, -0.03, -0.01, 0.01, 0.01]
     rate, wanted_rate, acceleration = np.full(6, 0.3), np.linspace(-0.4, 0.5, 6), np.linspace(3.0, -4.0, 6)
     expected = {
@@ -125,9 +124,7 @@ def test_bumpless_a_change_of_weights_leaves_the_torque_by_z_as_it_was():
 
 @few
 @given(vectors(6, 0.15), vectors(6, 0.05), st.sampled_from(["clamp", "back_calculation"]))
-def test_the_torque_never_exceeds_the_limit_nor_z_its_own_and_clamp_holds_z_while_a_motor_is_there(
-    error, z, saturation
-):
+def test_torque_and_integral_keep_to_their_limits_and_clamp_stops_the_integral(error, z, saturation):
     limit, setpoint, before = (0.04, 0.03), standing(HOME - error), {"integral": z}
     output = tick(setpoint=setpoint, before=before, saturation=saturation, integral_limit=limit)
     free = tick(setpoint=setpoint, before=before).torque
@@ -190,7 +187,6 @@ def test_so_many_bad_ticks_are_bridged_and_no_more_and_a_good_one_starts_anew(ba
         part.tick(np.concatenate([pose, REST]), np.concatenate(setpoint), weights, state)
         return state.copy().view(np.recarray)[0]
 
-    # None is bridged before a good one.
     with pytest.raises(kind):
         run(**bad)
     for _ in range(2):

@@ -74,7 +74,6 @@ def test_it_sees_where_the_robot_will_be_when_the_command_acts(pose, rate, delay
     tick, _ = begun(pose, rate, delay, torque, age, reading=size)
     read = moved(pose, rate, torque, PERIOD)
     seen = tick(inverse_kinematics(ROBOT, read[0]) if size == 6 else np.concatenate(read))
-    # Of a reading that is old it makes what is now.
     now, ahead = (moved(pose, rate, torque, PERIOD * (1 + ticks)) for ticks in (age, age + delay))
     np.testing.assert_allclose(seen["measurement"][:6], now[0], atol=1e-6 if age else 1e-7)
     np.testing.assert_allclose(seen["predicted"][:6], ahead[0], atol=1e-6)

@@ -83,7 +83,6 @@ def test_features_are_what_their_names_say():
     assert 10.0 ** values["acceleration"] == pytest.approx(4.01)
     assert (10.0 ** values["noise"], 10.0 ** values["latency"]) == (pytest.approx(2.0), pytest.approx(2.0))
     assert (values["kappa"], 10.0 ** values["error_density"]) == (0.3, pytest.approx(2.1))
-    # The first torque is no change.
     first = features_after((density, none, np.full(6, 5.0), none, reference))
     assert first["torque_change"] == pytest.approx(-6.0)
 
@@ -128,7 +127,7 @@ def test_a_signal_beyond_those_of_its_training_counts_as_the_largest_of_them():
 
 
 @pytest.mark.parametrize("hold", [0.0, 0.02])
-def test_a_schedule_is_alert_while_innovations_are_large_and_for_as_long_as_it_says(hold):
+def test_a_schedule_is_alert_while_innovations_are_large_and_for_its_hold_time(hold):
     schedule = ScheduleTuner(alert=(1.0,) * SIZE, threshold=1.5, hold=hold)
     part, quiet = setting_part(schedule, CONTEXT, BASE, 0.3), [np.ones(12), *np.zeros((3, 6)), np.zeros(18)]
     loud = [*quiet[:3], np.full(6, 1e-4), quiet[4]]

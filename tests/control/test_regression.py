@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize
 
-from stewart_drake import Controller, load_robot, load_scenario, run
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, Controller, inverse_kinematics, load_robot, load_scenario, run
 from stewart_drake.control import adaptation_laws as law
 from stewart_drake.control import square_root_filter
 from stewart_drake.control.adaptation import (
@@ -27,7 +26,6 @@ from stewart_drake.control.learnt_parameters import first_intervals
 from stewart_drake.control.regression_records import Learnt, Sample
 from stewart_drake.control.square_root_filter import N_MOTOR, N_SHARED
 from stewart_drake.logs.signals import SIGNALS
-from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import Legs
 from stewart_drake.scenario.assembly import context_of
 
@@ -62,9 +60,6 @@ def late_error(log):
     return float(np.sqrt(np.mean(np.sum(log.error[log.time > 0.6 * log.scenario.duration, :3] ** 2, axis=1))))
 
 
-# --- the estimator ---
-
-
 def arrows(rng, rows=40):
     """A factor with a prior, and the dense rows (n, SIZE), with right-hand sides, that it stands for."""
     motor_rows, shared_rows = np.zeros((6, N_MOTOR, N_MOTOR + N_SHARED + 1)), np.zeros((N_SHARED, N_SHARED + 1))
@@ -85,7 +80,7 @@ def arrows(rng, rows=40):
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
-def test_arrows_are_dense_least_squares(seed):
+def test_the_square_root_filter_is_dense_least_squares(seed):
     motor_rows, shared_rows, dense, right, _ = arrows(np.random.default_rng(seed))
     expected = np.linalg.lstsq(dense, right, rcond=None)[0]
     covariance, row = np.linalg.inv(dense.T @ dense), np.arange(1.0, N_MOTOR + N_SHARED + 1.0)
@@ -104,7 +99,7 @@ def test_arrows_are_dense_least_squares(seed):
 @pytest.mark.long
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 10**6))
-def test_numbers_that_are_held_move_the_others_to_where_they_are_likeliest(seed):
+def test_bounded_parameters_move_the_others_to_the_constrained_optimum(seed):
     rng = np.random.default_rng(seed)
     motor_rows, shared_rows, dense, right, _ = arrows(rng)
     # Two that are nearly the same thing, or the opposite.
@@ -261,9 +256,6 @@ def test_columns_of_what_was_learnt_are_the_fields_of_its_record():
     assert Learnt.of(np.arange(20.0)).delay == 1.0
 
 
-# --- the law ---
-
-
 def test_a_robot_with_servos_learns_its_constants_and_follows():
     unaware, learns = run(servos(adaptation=None), check=False), run(servos(), check=False)
     assert late_error(learns) < 0.2 * late_error(unaware)
@@ -310,7 +302,6 @@ def test_a_robot_that_rests_learns_nothing_and_a_frozen_one_keeps_its_model():
         learnt = run(servos(3.0, **changes), check=False)["learnt"]
         np.testing.assert_allclose(learnt, np.tile(learnt[0], (len(learnt), 1)), rtol=1e-12)
         assert learnt[0, 0] == servos().robot.platform_mass
-    # What never gets to be known better is compensated as it is believed.
     frozen, cautious = (
         run(servos(1.0, adaptation={"kind": "regression", "frozen": True, "cautious": each}), check=False)
         for each in (False, True)
@@ -318,7 +309,7 @@ def test_a_robot_that_rests_learns_nothing_and_a_frozen_one_keeps_its_model():
     np.testing.assert_array_equal(frozen["commanded_angle"], cautious["commanded_angle"])
 
 
-def test_who_knows_the_truth_does_not_learn_away_from_it():
+def test_a_right_model_stays_right_while_it_learns():
     pose = [0.0, 0.0, 0.0, 0.0, 0.0, 0.177]
     turned = [[0, 0, 0.5, 0, 0, 0.177], [0, -0.2, -0.4, 0, 0, 0.182], [0, 0.25, -0.3, 0, 0, 0.177], pose] * 4
     look = {
@@ -339,7 +330,7 @@ def test_who_knows_the_truth_does_not_learn_away_from_it():
     assert learns < 1.2 * knows
 
 
-def test_caution_takes_no_damping_from_a_servo_that_has_it():
+def test_cautious_friction_keeps_the_damping_of_a_servo():
     free = {"coulomb": 0.0, "viscous": 0.0}
     bold, cautious = (
         run(servos(3.0, **{"plant.friction": free, "model.friction": free, "adaptation.cautious": each}), check=False)
@@ -359,7 +350,7 @@ def test_a_push_is_not_taken_for_the_robot():
 
 
 @pytest.mark.parametrize(("coulomb", "viscous"), [(0.08, 0.12), (0.1, 0.05)])
-def test_cranks_that_stick_harder_than_they_slide_are_learnt_as_they_slide(coulomb, viscous):
+def test_friction_above_the_sliding_level_is_learnt_as_sliding_friction(coulomb, viscous):
     friction = {"coulomb": coulomb, "viscous": viscous, "break_away": 1.5 * coulomb}
     nod = {"kind": "sine", "amplitude": [0.0, 0.26, 0.0, 0.0, 0.0, 0.0], "angular_frequency": "1 Hz"}
     changes = {"plant": {"kind": "closed_form", "friction": friction}, "reference": nod, "duration": 4.0}
@@ -374,22 +365,8 @@ def test_a_load_that_is_put_on_later_is_weighed_though_the_estimate_was_sure_of_
     value, wide = Learnt.of(log["learnt"][-1]), log["learnt_half_width"][:, 0]
     assert (value.mass - scenario.robot.platform_mass) * scenario.gravity == pytest.approx(3.0, rel=0.1)
     np.testing.assert_allclose(value.coulomb, 0.08, rtol=0.1)
-    # It is less sure then than before, and gets surer again.
     before, then, late = (wide[np.searchsorted(log.time, time)] for time in (3.9, 6.0, 11.9))
     assert before < then > late
-
-
-def test_beside_a_machine_it_is_the_same_and_readings_that_are_missing_do_no_harm():
-    log = run(servos(3.0), check=False)
-    readings = inverse_kinematics(log.scenario.robot, log["measured_pose"])
-    beside, broken, out = Controller(log.scenario.control()), Controller(log.scenario.control()), np.empty(6)
-    for tick, reading in enumerate(readings):
-        beside.step(reading, log.time[tick], out)
-        np.testing.assert_allclose(out, log["commanded_angle"][tick], atol=1e-9)
-        broken.step(np.full(6, np.nan) if tick > 100 else reading, log.time[tick], out)
-    np.testing.assert_allclose(beside.signal("learnt"), log["learnt"][-1], rtol=1e-6)
-    assert np.isfinite(out).all()
-    assert np.isfinite(broken.signal("learnt")).all()
 
 
 def test_after_readings_that_were_missing_while_cranks_moved_it_goes_on_to_learn():
@@ -403,12 +380,11 @@ def test_after_readings_that_were_missing_while_cranks_moved_it_goes_on_to_learn
     broken, out = Controller(scenario.control()), np.empty(6)
     for tick, reading in enumerate(readings):
         broken.step(np.full(6, np.nan) if gap[tick] else reading, log.time[tick], out)
-    # Its numbers are others, as its commands are not those that have moved the robot.
     width = Learnt.of(broken.signal("learnt_half_width"))
     assert width.coulomb.max() < 2.0 * Learnt.of(log["learnt_half_width"][-1]).coulomb.max()
 
 
-def test_a_crank_that_jumps_is_learnt_no_more():
+def test_learning_stops_after_a_crank_jumps():
     scenario = servos(4.0)
     log = run(scenario, check=False)
     readings, beside, out = inverse_kinematics(scenario.robot, log["measured_pose"]), [], np.empty(6)
@@ -448,12 +424,6 @@ def test_a_push_sideways_that_lasts_is_not_taken_for_friction(wrench):
     assert np.linalg.norm(log.error[late]) < 2.0 * np.linalg.norm(told.error[late])
 
 
-def test_an_unknown_payload_is_weighed():
-    scenario = load_scenario("exact_breathing").replace({"plant.kind": "closed_form", "plant.payload_mass": 0.3})
-    learnt = Learnt.of(run(scenario.replace({"adaptation": "regression"}), check=False)["learnt"][-1])
-    assert learnt.mass == pytest.approx(1.3, abs=0.02)
-
-
 @pytest.mark.parametrize("motion", ["breathing", "heart"])
 def test_a_load_beside_the_middle_moves_the_centre_of_mass_and_is_no_friction(motion):
     load = {"plant.payload_mass": 0.3, "plant.payload_position": [0.03, 0.02, 0.05]}
@@ -466,7 +436,6 @@ def test_a_load_beside_the_middle_moves_the_centre_of_mass_and_is_no_friction(mo
     # How high it is hardly tells where nothing tilts, and the interval says so.
     assert abs(place[2] - truth[2]) < place[5]
     np.testing.assert_allclose(value.coulomb, 0.01, atol=0.002)
-    # Little of what the load does is left.
     alone = run(scenario.replace({"adaptation": "regression", "plant.payload_mass": 0.0}), check=False)
     late = log.time > 3.0
     assert np.linalg.norm(log.error[late, 3:]) < 1.6 * np.linalg.norm(alone.error[late, 3:])
@@ -499,15 +468,7 @@ def test_a_centre_of_mass_is_kept_in_p_where_the_robot_has_a_tool():
     np.testing.assert_allclose(kept.platform_center_of_mass, scenario.robot.platform_center_of_mass, atol=1e-12)
 
 
-def test_before_anything_is_learnt_the_intervals_are_wide():
-    log = run(load_scenario("exact_breathing").replace({**RUBS, "duration": 0.02}), check=False)
-    value, width = Learnt.of(log["learnt"][-1]), Learnt.of(log["learnt_half_width"][-1])
-    assert value.mass == log.scenario.robot.platform_mass
-    assert width.mass > 0.4 * value.mass
-    assert width.coulomb.min() > 0.08
-
-
-def test_one_torque_constant_for_all_keeps_what_each_motor_rubs_in_currents():
+def test_one_torque_constant_for_all_motors_keeps_their_friction_in_currents():
     scenario = load_scenario("reachy_nod").replace({"motors": "current", "safety": None, "adaptation": "regression"})
     drive, coulomb = np.array([0.8, 0.9, 1.0, 1.1, 1.2, 1.3]), np.full(6, 0.05)
     learnt = np.concatenate([[0.3, 0.0], drive, 0.1 * coulomb, coulomb])
@@ -520,8 +481,6 @@ def test_one_torque_constant_for_all_keeps_what_each_motor_rubs_in_currents():
     np.testing.assert_allclose(np.array(kept.friction.coulomb) / kept.motors.torque_constant, currents)
     np.testing.assert_allclose(np.array(kept.friction.viscous) / kept.motors.torque_constant, 0.1 * currents)
 
-
-# --- friction of ball joints ---
 
 JOINTS = BallJoints(viscous=0.004, coulomb=0.003, width=0.02, platform=(0, 0, 0, 0, 0, 1))
 LOOKS = {
@@ -589,17 +548,6 @@ def test_ball_joints_that_turn_freely_are_found_to_be_free(makes):
     assert dry < 0.001
     assert max(half_widths) < 0.003
     assert late_error(log) < 3.0 * late_error(run(alone, check=False))
-
-
-@pytest.mark.long
-@pytest.mark.slow
-def test_all_three_engines_learn_alike():
-    changes = {"duration": 3.0, "adaptation": "regression", "plant.motor_friction": 0.05}
-    learnt = []
-    for kind in ("closed_form", "drake", "mujoco"):
-        log = run(load_scenario("exact_breathing").replace({**changes, "plant.kind": kind}), check=False)
-        learnt.append(Learnt.of(log["learnt"][-1]).coulomb)
-    np.testing.assert_allclose(learnt, 0.05, atol=0.004)
 
 
 def test_delays_beyond_what_is_remembered_and_a_kernel_below_a_period_are_refused():

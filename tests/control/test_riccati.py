@@ -105,7 +105,7 @@ def gain_at_many_digits(s, period, blocks):
     period=logs(-4.0, -1.0),
     exponents=st.tuples(*[st.floats(-2.0, 6.0)] * 4) | st.tuples(*[st.floats(-12.0, 12.0)] * 4),
 )
-def test_each_chain_has_the_gain_of_sixty_digits_or_says_that_it_has_none(s, period, exponents):
+def test_a_chain_has_the_gain_of_sixty_digits_or_reports_that_it_has_none(s, period, exponents):
     blocks, gain = tuple((10.0 ** np.array(exponents)).tolist()), np.empty(3)
     with np.errstate(all="ignore"):
         done = chain_gain(np.float64(s), period, np.array(blocks), gain)
@@ -139,11 +139,7 @@ def test_what_drake_cannot_solve_raises_our_error_and_never_leaves_the_process(a
 
 
 @settings(max_examples=200)
-@given(
-    s=logs(-2.0, 3.0),
-    period=logs(-3.0, -1.0),
-    p=st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6),
-)
+@given(s=logs(-2.0, 3.0), period=logs(-3.0, -1.0), p=st.lists(st.floats(-1.0, 1.0), min_size=6, max_size=6))
 def test_a_chain_is_stable_where_its_eigenvalues_are(s, period, p):
     a = np.eye(3) + period * np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.5 * period, 0]])
     b = s * np.array([0.5 * period**2, period, period**3 / 6.0])

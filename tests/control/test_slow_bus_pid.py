@@ -5,12 +5,10 @@ import pytest
 from setups import setup_for
 from ticks import standing, ticked
 
-from stewart_drake import load_robot, load_scenario, run
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, forward_kinematics, inverse_kinematics, load_robot, load_scenario, run
 from stewart_drake.control.base import heave_inertia
 from stewart_drake.control.classical import PidOptions
 from stewart_drake.mechanics.dynamics import crank_inertia, static_torque
-from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 
 ROBOT = load_robot("reachy_mini")
 INERTIA = heave_inertia(ROBOT)

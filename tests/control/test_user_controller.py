@@ -3,12 +3,10 @@ import pytest
 from strategies import ROBOT
 from ticks import ticked
 
+from stewart_drake import ConfigurationError, Scenario, Setpoint, run
 from stewart_drake.base.code import ControllerError
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError
-from stewart_drake.control.base import Setpoint
+from stewart_drake.base.errors import NotFiniteError
 from stewart_drake.control.user_controller import function_part
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import Scenario
 
 HEAD = """
 import numpy as np

@@ -81,7 +81,6 @@ def test_without_noise_the_robot_is_found_again(name, known):
     same = aligned(truth, guess, known)
     assert found.change[:OF_ROBOT] == pytest.approx(change_to(guess, same)[:OF_ROBOT], abs=2e-8)
     assert np.abs(found.after).max() < 1e-10
-    # What the tracker would see of any pose is what it does see.
     near = targets(guess, 20, 3)
     at, mine = (transform_of(forward_kinematics(robot, near.angles, near.pose)) for robot in (truth, found.robot))
     assert found.base @ mine @ found.marker == pytest.approx(base @ at @ marker, abs=1e-7)
@@ -99,7 +98,6 @@ def test_what_poses_cannot_tell_is_named_and_kept():
     assert named <= {
         f"leg {leg} {name} {axis}".strip() for leg, name, axis, *_, width in found.rows() if width == np.inf
     }
-    # The rest fits all the same.
     assert found.noise_ratio < 1.3
 
 
@@ -115,7 +113,7 @@ def test_homing_offsets_are_readings_minus_true_angles_and_stops_move_with_them(
     assert as_robot(guess, change).crank_angle_ranges == pytest.approx(guess.crank_angle_ranges + 0.02)
 
 
-def test_a_plan_keeps_to_the_limits_tells_more_than_chance_and_says_what_intervals_come():
+def test_a_plan_keeps_to_the_limits_beats_random_poses_and_predicts_the_intervals():
     limits = ReferenceLimits()
     plan = plan_poses(ROBOT, 30, limits, candidates=100)
     still = np.zeros((30, 6))
@@ -158,7 +156,7 @@ def good():
     return measured(deviating(ROBOT, rng), exact, MeasurementNoise(), rng)
 
 
-def test_the_table_has_intervals_and_says_what_was_held(good):
+def test_the_table_has_intervals_and_marks_what_was_held(good):
     calibration = calibrate(ROBOT, good, hold=("rod_length",))
     legs, rows = calibration.table()
     cells = {name: cells for name, *cells in rows}

@@ -40,7 +40,7 @@ def test_data_notice_nothing_of_an_unidentifiable_change_and_everything_else(see
     assert estimate.directions @ step == pytest.approx(seen, abs=1e-6)
 
 
-def test_a_sentence_names_what_cannot_be_told_apart_in_its_units():
+def test_a_sentence_names_parameters_that_cannot_be_separated_with_units():
     # Only the sum of the mass and a tenth of x is noticed; y a little, z well.
     slope = np.array([[100.0, 10.0, 0.0, 0.0], [0.0, 0.0, 5.0, 0.0], [0.0, 0.0, 0.0, 100.0]])
     first = np.array([1.0, 9.0, 1.0, 1.0])

@@ -206,7 +206,7 @@ def test_readings_and_torques_that_are_not_those_of_the_robot():
     assert "hold: expected " in refused(LOG, hold=["mass"])
 
 
-def test_a_motion_that_does_not_tell_what_is_asked():
+def test_a_motion_that_does_not_excite_the_parameters_is_refused():
     line = refused(recording(ROBOT, truth_of(ROBOT), HoldReference(pose=tuple(ROBOT.home_pose)), rate=100.0))
     assert "excite" in line
     slow = recording(ROBOT, truth_of(ROBOT), motion(ROBOT, size=0.02), rate=100.0, noise=0.02)

@@ -8,8 +8,7 @@ import pytest
 from recordings import motion
 from servo_identification_study import GUESS, NOMINAL, Hidden, hidden, scenario
 
-from stewart_drake import identify_servos, load_scenario, run
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, ServoRecording, identify_servos, load_scenario, run
 from stewart_drake.estimation.servos import (
     COULOMB,
     DAMPING,
@@ -18,7 +17,6 @@ from stewart_drake.estimation.servos import (
     PARAMETERS,
     ROTOR,
     STIFFNESS,
-    ServoRecording,
     load_servo_recording,
     take_angles,
 )
@@ -52,7 +50,6 @@ def test_hidden_constants_are_within_their_intervals(trial, found):
     share = off[estimated] / found.half_width[estimated]
     assert share.max() < 3.0
     assert (share < 1.0).mean() > 0.6
-    # Intervals that say something.
     width = found.half_width
     assert (width[STIFFNESS] < 0.05 * found.values[STIFFNESS]).all()
     assert width[MASS] < 0.03 * GUESS.platform_mass
@@ -61,7 +58,7 @@ def test_hidden_constants_are_within_their_intervals(trial, found):
     assert width[COULOMB].max() < 1e-3
 
 
-def test_age_and_delay_are_told_as_their_sum(trial, found):
+def test_only_the_sum_of_reading_age_and_delay_is_identified(trial, found):
     real, _, recording = trial
     other = identify_servos(GUESS, [recording], reading_age=0.0)
     assert other.values[DELAY] == pytest.approx(found.values[DELAY] + real.age, abs=1e-4)
@@ -69,7 +66,7 @@ def test_age_and_delay_are_told_as_their_sum(trial, found):
 
 
 @pytest.mark.long
-def test_a_head_that_was_weighed_tells_the_rotors_inertia(trial):
+def test_a_head_of_known_mass_gives_the_rotors_inertia(trial):
     real, _, recording = trial
     off = GUESS.replace(rotor_inertia=1.3 * GUESS.rotor_inertia, platform_mass=real.robot.platform_mass)
     result = identify_servos(off, [recording], hold=["platform_mass"], reading_age=real.age)

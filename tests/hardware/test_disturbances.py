@@ -7,7 +7,7 @@ from stewart_drake.hardware.disturbances import ImpulseWrench, NoiseWrench, Step
 WRENCH = (0.1, -0.2, 0.3, 4.0, -5.0, 6.0)
 
 
-def test_a_step_begins_and_ends_when_it_says():
+def test_a_step_begins_and_ends_at_its_times():
     step = StepWrench(wrench=WRENCH, time=0.3, until=0.7)
     for time, on in ((0.2999, False), (0.3, True), (0.6999, True), (0.7, False)):
         np.testing.assert_array_equal(step.evaluate(time), np.array(WRENCH) * on)

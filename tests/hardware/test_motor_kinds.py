@@ -5,9 +5,8 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from stewart_drake import Controller, load_scenario, run
+from stewart_drake import ConfigurationError, Controller, load_scenario, run
 from stewart_drake.base.config import Positive
-from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.registry import MOTORS
 from stewart_drake.hardware.motors import Command, MotorOptions, Torque, within_limit
 from stewart_drake.loop.part import Part
@@ -85,7 +84,6 @@ def test_a_controller_runs_on_motors_that_take_voltages_as_on_those_that_take_to
     np.testing.assert_array_equal(log["pose"], by_torque["pose"])
     np.testing.assert_array_equal(log["torque"], by_torque["torque"])
     np.testing.assert_array_equal(log["torque_applied"][2:], log["torque"][:-2])
-    # The inverse is the controller's.
     mine, out = Controller(torque.replace(motors="driven")), np.empty(6)
     mine.step(log["crank_angle"][0], 0.0, out)
     np.testing.assert_array_equal(out, mine.signal("torque") / 0.25)

@@ -2,11 +2,7 @@ import numpy as np
 import pytest
 
 from stewart_drake.hardware.faults import CommandFault, MotorFault
-from stewart_drake.hardware.motors import (
-    DeadMotor,
-    LinkOptions,
-    TorqueMotors,
-)
+from stewart_drake.hardware.motors import DeadMotor, LinkOptions, TorqueMotors
 
 WANTED = np.array([0.123, -0.456, 1.0, 4.9, -4.9, 0.0])
 ANGLES = np.linspace(-1.0, 1.0, 6)
@@ -76,7 +72,7 @@ def test_chance_drops_its_share_by_the_seed_alone_and_by_the_tick():
         (CommandFault(kind="nan", duration=0.1), [0, 1, 2, 3, 4, 5]),
     ],
 )
-def test_commands_are_spoilt_as_told_and_the_controllers_own_are_left_alone(fault, expected):
+def test_command_faults_change_what_arrives_and_not_the_array_of_the_controller(fault, expected):
     part = LinkOptions(faults=(fault,)).part(0.001, 0.001, np.zeros(6))
     command, time = np.arange(6.0), np.array([0.1])
     state = part.initial.copy()

@@ -4,9 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import vectors
 
-from stewart_drake import load_scenario, run
+from stewart_drake import ConfigurationError, load_scenario, run
 from stewart_drake.analysis.linear_loop import linear_loops
-from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.hardware.faults import EncoderFault, PoseFault
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part, faulty_sensor_part
 from stewart_drake.scenario.assembly import control_side
@@ -61,7 +60,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("fault", "rows", "channels", "said"), FAULTS)
-def test_a_fault_says_something_else_while_it_lasts_and_on_its_channels_alone(fault, rows, channels, said):
+def test_a_fault_changes_its_channels_alone_while_it_lasts(fault, rows, channels, said):
     expected = READINGS.copy()
     expected[rows, channels] = said
     np.testing.assert_allclose(says(fault), expected, rtol=0.0, atol=1e-12)
@@ -69,7 +68,7 @@ def test_a_fault_says_something_else_while_it_lasts_and_on_its_channels_alone(fa
 
 @pytest.mark.parametrize("leg", [2, None])
 @given(delay=st.integers(1, 12), first=st.integers(0, 9))
-def test_a_late_encoder_says_what_it_read_before(leg, delay, first):
+def test_a_late_encoder_gives_earlier_readings(leg, delay, first):
     told = says(EncoderFault(kind="late", leg=leg, delay=PERIOD * delay, time=PERIOD * first))
     before = np.maximum(np.arange(10) - delay, 0)
     expected, legs = READINGS.copy(), slice(None) if leg is None else leg
@@ -108,12 +107,10 @@ def test_an_observer_that_knows_how_old_its_readings_are_holds_the_robot():
     known = scenario.replace({"duration": 2.0})
     log = run(known)
     assert log.status == "completed"
-    # What was read is up to 2 mrad of roll behind; what is made of it is not.
     assert np.abs(log["pose"][500:] - log["pose"][480:-20])[:, 0].max() > 1.5e-3
     np.testing.assert_allclose(log["measured_pose"][500:], log["pose"][500:], atol=3e-4)
     believed_fresh = known.replace({"model.reading_age": 0.0})
     assert run(believed_fresh).status in ("failed", "lost")
-    # Margins tell the same, for the truth is in the loop whatever is believed.
     for each, stable in ((known, True), (believed_fresh, False)):
         closed = linear_loops(each, each.start()[0][None]).closed[0]
         assert (np.abs(np.linalg.eigvals(closed)).max() < 1.0) == stable

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from stewart_drake import load_robot, load_scenario, run
 from stewart_drake.live.instrument import (
     FORCE,
     MOMENT,
@@ -20,9 +21,6 @@ from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.session import LiveSession
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_jacobian, rotation_matrix
-from stewart_drake.robot.robot_files import load_robot
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import load_scenario
 
 SWAY = {"plant.kind": "closed_form"}
 STILL = {**SWAY, "reference": {"kind": "hold"}}
@@ -62,7 +60,6 @@ def test_a_spring_turns_about_the_way_that_is_left_with_at_most_its_largest_mome
     spring = turning_spring(robot, 9.81, held, angle * axis)
     most = 0.2 * largest(robot, 9.81, MOMENT)
     np.testing.assert_allclose(spring.wrench(pose), [*most * min(1.0, angle / 0.3) * axis, 0.0, 0.0, 0.0], atol=1e-9)
-    # Where it has turned so far nothing is left.
     there = Rotation.from_matrix(Rotation.from_rotvec(angle * axis).as_matrix() @ held).as_euler("xyz")
     np.testing.assert_allclose(spring.wrench(np.array([*there, 0.0, 0.0, 0.3])), 0.0, atol=1e-9)
 
@@ -128,7 +125,7 @@ def test_a_hand_is_no_wrong_motor_until_reset():
     assert live.loop.scenario.safety.unexplained_torque is not None
 
 
-def test_the_robot_beside_has_errors_of_its_own():
+def test_the_second_robot_has_separate_errors():
     live = session()
     assert live.row()["beside"] is None
     do(live, do="ghost", controller="PID of each motor")
@@ -141,7 +138,7 @@ def test_the_robot_beside_has_errors_of_its_own():
     assert row["beside"]["ended"] == ""
 
 
-def test_sliders_stand_where_the_scenario_does_and_go_no_farther_than_their_ends():
+def test_sliders_start_at_the_scenario_and_stop_at_their_ends():
     scenario = for_live_page(load_scenario("exact_breathing").replace({**SWAY, "tuner": "block"}))
     knobs = {knob.key: knob for knob in sliders_of(scenario, scenario)}
     assert {"tuner.q_pose", "estimator.disturbance", "plant.motor_friction", "model.friction.coulomb"} <= set(knobs)

@@ -76,13 +76,18 @@ def wait(page, condition, timeout=30_000):
     page.wait_for_function(condition, timeout=timeout)
 
 
+def slide(page, name, value):
+    """Moves a slider to a value, a number or an expression."""
+    script = f"""(value) => {{ const slider = document.getElementById("{name}"); slider.value = eval(value);
+        for (const event of ["input", "change"]) slider.dispatchEvent(new Event(event)); }}"""
+    page.evaluate(script, str(value))
+
+
 def test_a_slider_moves_the_platform_and_stops_at_a_named_limit(page):
     wait(page, "Math.abs(last.pose[0]) < 0.01")
-    slide = """([name, value]) => { const slider = document.getElementById(`pose-${name}`);
-        slider.value = value; slider.dispatchEvent(new Event('input')); slider.dispatchEvent(new Event('change')); }"""
-    page.evaluate(slide, ["roll", "8"])
+    slide(page, "pose-roll", 8)
     wait(page, "Math.abs(last.pose[0] * 180 / Math.PI - 8) < 0.1")
-    page.evaluate(slide, ["Z", "100000"])
+    slide(page, "pose-Z", 100000)
     wait(page, "document.getElementById('message').textContent.includes('as far as it goes')")
     page.evaluate("tell({ do: 'aim', pose: [0, 0, 0, 0, 0, 3] })")
     wait(page, "document.getElementById('message').textContent.includes('expected a pose within')")
@@ -144,8 +149,7 @@ def test_a_second_tab_shows_what_is_set_in_the_first(page, browser, live):
     second, errors = opened(browser, live.url, width=390)
     page.click("#move")
     page.select_option("#controller", "computed torque")
-    page.evaluate("""() => { const slider = document.getElementById("payload");
-        slider.value = slider.max; slider.dispatchEvent(new Event("change")); }""")
+    slide(page, "payload", "slider.max")
     wait(second, "document.getElementById('controller').value === 'computed torque'")
     wait(second, "!document.getElementById('move').checked")
     wait(second, "Number(document.getElementById('payload').value) === about.payload_most")
@@ -160,7 +164,7 @@ def test_a_second_tab_shows_what_is_set_in_the_first(page, browser, live):
     third.close()
 
 
-def test_the_page_says_when_the_session_is_gone_or_silent_and_when_it_is_back(browser):
+def test_the_page_shows_when_the_session_is_gone_or_silent_and_when_it_is_back(browser):
     session = Live("exact_fig7", "--set", "plant.kind=closed_form")
     page, _ = opened(browser, session.url)
     assert page.is_hidden("#gone")
@@ -334,7 +338,7 @@ def test_the_platform_is_turned_by_the_mouse(page, how):
     page.click("#reset")
 
 
-def test_the_robot_beside_is_in_the_plots(page):
+def test_the_second_robot_is_in_the_plots(page):
     page.select_option("#ghost", "PID of each motor")
     wait(page, "traces.error.data[2].at(-1) > 0 && traces.angle.data[2].at(-1) >= 0", 60_000)
     wait(page, "document.querySelector('#traces .u-title').textContent.includes('(pale: ')")
@@ -347,14 +351,8 @@ def test_a_step_is_asked_for_and_its_figures_are_shown(page):
     wait(page, "document.getElementById('test-result').textContent.startsWith('step of Z')", 60_000)
 
 
-def test_a_slider_of_the_machine_and_one_of_the_belief_stand_apart(page):
-    page.evaluate(
-        """() => {
-          const slider = document.getElementById("knob-command_delay");
-          slider.value = 1;
-          slider.dispatchEvent(new Event("change"));
-        }"""
-    )
+def test_sliders_of_the_machine_and_of_the_model_are_independent(page):
+    slide(page, "knob-command_delay", 1)
     wait(page, "last.knobs.find(({ key }) => key === 'command_delay').value === 1")
     assert page.evaluate("last.knobs.find(({ key }) => key === 'model.delay').value") == 0
     page.click("#reset")
@@ -369,10 +367,7 @@ def test_a_page_that_steers_a_machine(browser):
     assert page.locator("#stop").bounding_box()["y"] < 1000
     assert not page.is_visible("#pause")
     assert not page.is_visible("#payload")
-    page.evaluate(
-        "(input) => { input.value = 5; input.dispatchEvent(new Event('input')); }", page.query_selector("#pose-yaw")
-    )
-    page.evaluate("(input) => input.dispatchEvent(new Event('change'))", page.query_selector("#pose-yaw"))
+    slide(page, "pose-yaw", 5)
     wait(page, "Math.abs(last.pose[2] - 5 * Math.PI / 180) < 0.01")
     # The wanted robot stands where the real one is, but for its errors.
     apart = "view.links[26].position.distanceTo(view.links[12].position)"

@@ -5,13 +5,14 @@ import time
 
 import numpy as np
 import pytest
+from lagging_servos import Servos
 
-from stewart_drake import forward_kinematics, inverse_kinematics, load_scenario
+from stewart_drake import forward_kinematics, load_scenario
 from stewart_drake.base.errors import RunFailure
 from stewart_drake.live.machine_session import MachineSession
 from stewart_drake.live.start import start_machine
 from stewart_drake.live.steering import HandReference
-from stewart_drake.machines.machine import MachineError, Reading
+from stewart_drake.machines.machine import MachineError
 from stewart_drake.runs.drive import connected
 
 SCENARIO = load_scenario(
@@ -27,35 +28,23 @@ SCENARIO = load_scenario(
 ROBOT, HOME = SCENARIO.robot, SCENARIO.reference.evaluate(0.0)[0]
 
 
-class Servos:
-    """A paced machine at 50 Hz, twenty times as fast as the clock; `at` ticks does what is asked for then."""
+class Timed(Servos):
+    """Twenty times as fast as the clock; `asked`: tick -> what happens then."""
 
-    period, takes, reads, paced = 0.02, "angle", True, True
-
-    def __init__(self, at):
-        self.angles, self.count, self.at, self.commands = inverse_kinematics(ROBOT, HOME), 0, at, []
-
-    def connect(self):
-        pass
+    def __init__(self, asked):
+        super().__init__()
+        self.asked = asked
 
     def read(self):
         time.sleep(0.001)
-        self.count += 1
-        self.at.get(self.count, lambda: None)()
-        return Reading(self.angles.copy(), 0.02 * self.count, 0.0, self.count)
-
-    def command(self, values):
-        self.commands.append(values.copy())
-        self.angles += 0.6 * (values - self.angles)
-
-    def disconnect(self):
-        pass
+        self.asked.get(self.count + 1, lambda: None)()
+        return super().read()
 
 
 def steered(**at):
     """A session, its machine, and why it ended; `at`: tick -> what the page asks for, or raises."""
     asked = {}
-    machine = Servos(asked)
+    machine = Timed(asked)
     session = MachineSession(SCENARIO, machine, connected(SCENARIO, machine))
     for tick, command in at.items():
         asked[int(tick[1:])] = command if callable(command) else lambda command=command: session.put(command)
@@ -77,7 +66,6 @@ def test_a_slider_moves_the_robot_slowly_and_the_motion_ends_with_what_was_check
     assert speeds[-5:].max() < 1e-3
     row = json.loads(session.rows_after(0, 0.0)[1][-1])
     assert (row["ended"], row["motion"], len(row["links"])) == ("stopped", False, 7 * (14 + 13))
-    # The ghost stands where the robot should be.
     np.testing.assert_allclose(row["links"][7 * 12 : 7 * 12 + 3], row["links"][7 * 26 : 7 * 26 + 3], atol=2e-3)
 
 
@@ -100,7 +88,7 @@ def test_it_goes_as_far_as_the_robot_can_and_names_the_limit():
     assert (np.array(machine.commands) <= high + 1e-9).all()
 
 
-def test_a_lost_machine_ends_it_and_is_told():
+def test_a_lost_machine_ends_the_session_with_a_message():
     def lost():
         raise MachineError("robot", "lost")
 
@@ -120,8 +108,8 @@ def test_the_motion_goes_and_comes_and_what_the_page_may_not_ask_does_nothing():
     assert any("off after the scenario's duration, 4 s" in message for message in messages)
 
 
-def test_the_page_is_told_of_the_machine():
-    machine = Servos({})
+def test_the_page_shows_the_machine():
+    machine = Timed({})
     session, server = start_machine(SCENARIO, machine, connected(SCENARIO, machine), "mine.py:Servos")
     server.close()
     about = server._server.RequestHandlerClass.about
@@ -154,7 +142,7 @@ def test_a_hand_s_motion_goes_on_where_a_target_changes(change):
      {"do": "aim", "pose": [1e300] * 6}, {"do": "aim", "pose": [10**400] * 6}, {"do": "move"},
      {"do": "knob", "key": "plant.motor_friction", "value": 0.1}, {"do": "save"}],
 )  # fmt: skip
-def test_what_a_page_should_not_say_to_a_machine_changes_nothing(machine_session, command):
+def test_bad_commands_to_a_machine_change_nothing(machine_session, command):
     target = machine_session.row()["target"]
     machine_session.put(command)
     machine_session.obey()
@@ -164,5 +152,5 @@ def test_what_a_page_should_not_say_to_a_machine_changes_nothing(machine_session
 
 @pytest.fixture(scope="module")
 def machine_session():
-    machine = Servos({})
+    machine = Timed({})
     return MachineSession(SCENARIO, machine, connected(SCENARIO, machine))

@@ -32,7 +32,7 @@ def test_a_smooth_value_reaches_its_target_without_overshoot(start: float, end: 
     assert path[-1] == pytest.approx(end, abs=1e-6)
 
 
-def test_the_reference_tells_its_own_rates_while_hand_and_motion_move() -> None:
+def test_rates_of_the_reference_are_right_while_hand_and_motion_move() -> None:
     reference = HandReference(SineReference())
     reference.hand.target[:] = HOME + [0.1, 0.0, 0.0, 0.01, 0.0, 0.0]
     reference.share.target[0] = 0.0

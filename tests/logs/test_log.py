@@ -8,13 +8,10 @@ import pyarrow.parquet as pq
 import pytest
 from made_logs import made_log
 
+from stewart_drake import ConfigurationError, Scenario, load_log, run
 from stewart_drake.base.atomic_files import seal
-from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.tables import AXES
-from stewart_drake.logs.log import load_log
 from stewart_drake.logs.signals import SIGNALS
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import Scenario
 
 
 @pytest.fixture
@@ -75,7 +72,7 @@ def test_a_log_is_a_mapping_and_shows_itself_in_six_lines(log):
     assert lines[1].strip() == log.message
 
 
-def test_columns_say_their_units_and_parquet_has_frame_text_scenario_and_outcome(log):
+def test_columns_have_units_and_parquet_has_frame_text_scenario_and_outcome(log):
     schema = pq.read_schema(pa.BufferReader(log.to_parquet()))
     widths = [1 if values.ndim == 1 else values.shape[1] for values in log.values()]
     assert len(schema.names) == len(set(schema.names)) == sum(widths)
@@ -123,7 +120,7 @@ def test_what_is_no_log_is_named_in_one_line(log, tmp_path):
         log.save(tmp_path / "log.xlsx")
 
 
-def test_a_flipped_bit_of_what_a_log_says_besides_its_columns_is_refused_or_changes_nothing(log, tmp_path):
+def test_a_flipped_bit_in_the_header_of_a_log_is_refused_or_changes_nothing(log, tmp_path):
     path, content, chance, refused = tmp_path / "log.parquet", log.to_parquet(), random.Random(0), 0
     begin = content.index(b'"version": 4')
     for _ in range(100):

@@ -14,13 +14,6 @@ def filled(count, max_rows=None):
     return rows
 
 
-def test_rows_come_back_by_name():
-    columns = filled(3000).columns()
-    np.testing.assert_array_equal(columns["time"], np.arange(3000.0))
-    np.testing.assert_array_equal(columns["pose"], np.repeat(np.arange(3000.0)[:, None], 6, axis=1))
-    np.testing.assert_array_equal(columns["weights"], np.tile([1.0, 2.0], (3000, 1)))
-
-
 def test_with_a_limit_the_latest_are_kept():
     for count in (1, 1023, 1024, 1025, 5000):
         rows = filled(count, max_rows=1000)
@@ -39,13 +32,3 @@ def test_another_thread_gets_each_row_once():
     read += rows.since(len(read))[:, 0].tolist()
     assert read == list(range(2500))
     assert len(rows.since(2500)) == 0
-
-
-def test_without_rows_columns_have_their_widths():
-    rows = Rows(PLACES)
-    assert len(rows.since(0)) == 0
-    assert {name: column.shape for name, column in rows.columns().items()} == {
-        "time": (0,),
-        "pose": (0, 6),
-        "weights": (0, 2),
-    }

@@ -15,7 +15,6 @@ from stewart_drake.mechanics.kinematics import rotation_matrix
 @pytest.fixture(scope="module")
 def log():
     made = run(load_scenario("exact_fig7", ["plant.kind=closed_form", "duration=0.2", "safety={}"]))
-    # As a drive has them.
     numbers = {"lateness": 1e-4 * made.time, "reading_age": 2e-3 + 0.0 * made.time}
     return replace(made, signals={**made.signals, **numbers})
 

@@ -5,16 +5,12 @@ import numpy as np
 import pytest
 from made_logs import made_log
 
+from stewart_drake import ReferenceLimits, RobotParameters, inverse_kinematics, load_scenario, run, run_metrics
 from stewart_drake.base.errors import NotFiniteError, SafetyStop
-from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.outcomes import RunRows, assess, find_warnings
-from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.checks import likely_cause
-from stewart_drake.runs.simulation import run
 from stewart_drake.safety import LEVELS, MONITORS
-from stewart_drake.scenario.limits import ReferenceLimits, longest_excursion
-from stewart_drake.scenario.scenario import load_scenario
+from stewart_drake.scenario.limits import longest_excursion
 
 TRIP = {"monitor": "deadline", "level": "hold", "time": 0.4, "leg": 2, "cause": None, "worst": "safe_hold"}
 TAKEN = {"monitor": "crank_speed", "time": 0.5, "leg": 1}
@@ -79,12 +75,7 @@ def test_a_start_that_is_off_has_to_come_back():
 
 @pytest.mark.parametrize(
     ("share", "status", "warned"),
-    [
-        (0.55, "completed", False),
-        (0.45, "completed", True),
-        (2.05, "lost", False),
-        (0.24, "lost", False),
-    ],
+    [(0.55, "completed", False), (0.45, "completed", True), (2.05, "lost", False), (0.24, "lost", False)],
 )
 def test_an_error_as_large_as_the_motion_is_a_run_lost_and_half_of_it_has_a_warning(share, status, warned):
     rows = rows_of(**swinging(share))
@@ -112,12 +103,7 @@ def test_a_motion_that_is_over_before_errors_count_is_compared_too():
 
 
 @pytest.mark.parametrize(
-    ("until", "duration", "status"),
-    [
-        (2.9, 10.0, "completed"),
-        (4.5, 10.0, "lost"),
-        (0.49, 0.49, "completed"),
-    ],
+    ("until", "duration", "status"), [(2.9, 10.0, "completed"), (4.5, 10.0, "lost"), (0.49, 0.49, "completed")]
 )
 def test_the_first_3_s_or_six_tenths_are_for_settling_and_half_a_second_has_no_time_to(until, duration, status):
     signals, time = swinging(1.0), 0.1 * duration * TIMES
@@ -130,7 +116,6 @@ def test_a_motion_of_less_than_a_third_of_a_millimetre_is_judged_by_the_bounds_a
     assert verdict(**swinging(0.0, reach)).status == status
     still = {"reference": np.tile(HOME, (101, 1)), "pose": np.tile(HOME + 0.01, (101, 1))}
     assert verdict(**still).status == "completed"
-    # In the size of the robot: the head of Reachy Mini is 3.7 times smaller.
     assert verdict(scenario={"robot": "reachy_mini"}, **swinging(0.0, 3.0 / 11.0 * reach)).status == status
 
 
@@ -201,7 +186,7 @@ def warned(**changes):
         ("reachy_mini", {"kind": "ideal"}, None),
     ],
 )
-def test_a_place_that_is_not_held_is_said_in_the_scale_of_robot_and_sensors(robot, sensors, bound):
+def test_a_position_that_is_not_held_has_a_warning_in_the_scale_of_robot_and_sensors(robot, sensors, bound):
     scenario = {"robot": robot, "sensors": sensors, "bounds": {"position": None}}
     length = rows_of(scenario=scenario).scenario.robot.characteristic_length
     bound = 0.003 * length if bound is None else bound
@@ -210,7 +195,6 @@ def test_a_place_that_is_not_held_is_said_in_the_scale_of_robot_and_sensors(robo
     assert "poorly_held" not in warned(scenario=scenario, pose=0.99 * off)
     found = warned(scenario=scenario, pose=1.01 * off)["poorly_held"]
     assert (found["time"], found["number"]) == (pytest.approx(5.333, abs=1e-3), pytest.approx(1.01 * bound))
-    # An excursion, after which it is back: not one that is the start's own offset.
     away = np.zeros((101, 6))
     away[20, 1] = 11.0 * bound / length
     found = warned(scenario=scenario, pose=away)["poorly_held"]
@@ -219,7 +203,7 @@ def test_a_place_that_is_not_held_is_said_in_the_scale_of_robot_and_sensors(robo
     assert "poorly_held" not in warned(scenario=scenario, pose=away)
 
 
-def test_a_motion_that_was_made_beyond_a_limit_is_said_though_it_was_followed():
+def test_a_motion_beyond_a_limit_has_a_warning_though_it_was_followed():
     pose = np.tile(HOME, (101, 1))
     pose[20:30, [0, 5]] = [0.56, 0.355]
     found = warned(pose=pose, reference=pose)["beyond_limits"]
@@ -241,7 +225,7 @@ def test_a_crank_that_touches_its_stop_with_an_error_of_following_is_not_beyond_
     assert (found is not None and found[0].limit == "crank_range") == is_told
 
 
-def test_a_motion_that_is_over_long_before_the_run_is_said():
+def test_a_motion_that_ends_long_before_the_run_has_a_warning():
     rate = np.zeros((101, 6))
     rate[:31, 5] = 0.01
     found = warned(reference_rate=rate)["motion_length"]
@@ -286,7 +270,6 @@ def test_what_ends_a_run_names_the_likely_cause(scenario, changes, cause):
 
 
 def test_a_loop_was_too_slow_only_where_it_lost_the_robot_at_once():
-    # Reachy Mini can fall by 2 mm between two ticks at 100 Hz, and does not.
     scenario = load_scenario("reachy_nod")
     assert likely_cause(scenario, 0.2).startswith("a slow loop of 100 Hz")
     assert likely_cause(scenario, 3.0) == ""

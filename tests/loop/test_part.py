@@ -107,7 +107,7 @@ def test_a_failed_tick_raises_the_named_error_with_the_time():
     assert (caught.value.leg, caught.value.time) == (3, 0.25)
 
 
-def test_a_failed_tick_of_a_tolerant_part_repeats_its_state_and_tells_why_until_one_succeeds():
+def test_a_failed_tick_of_a_tolerant_part_repeats_its_state_and_reports_why_until_one_succeeds():
     loop = LoopRunner([failing(fault_tolerant=True)], {"reading": 2})
     for reading, total, leg in ((2.0, 2.0, -1.0), (-1.0, 2.0, 3.0), (1.0, 3.0, -1.0)):
         loop.signal("reading")[:] = reading

@@ -5,10 +5,9 @@ import re
 import numpy as np
 import pytest
 
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, inverse_kinematics
 from stewart_drake.machines.machine import Homed, Reading, command_limits, open_machine
 from stewart_drake.machines.simulated import SimulatedRobot
-from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.runs.drive import connected, measured_home
 from stewart_drake.scenario.scenario import load_driven
 

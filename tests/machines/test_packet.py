@@ -134,11 +134,7 @@ def test_a_robot_ticks_on_its_period_however_late_it_wakes():
         due = next_tick(due, due + 0.004, 0.02)
         ticks.append(due)
     np.testing.assert_allclose(ticks, 0.02 * np.arange(1, 1001))
-    # What has gone by in a pause is left out.
     assert next_tick(1.0, 1.07, 0.02) == pytest.approx(1.08)
-
-
-# --- the robot's side in C and in plain Python ---
 
 
 class CPacket(ctypes.Structure):

@@ -128,7 +128,7 @@ def test_other_messages_are_passed_over(daemon, machine):
     assert 29 <= numbers[-1] - numbers[0] <= 60
 
 
-def test_motors_that_are_off_are_told(daemon, machine):
+def test_motors_that_are_off_are_reported(daemon, machine):
     daemon.status = STATUS.replace('"enabled"', '"disabled"')
     assert daemon.status != STATUS
     deadline = time.monotonic() + 5.0
@@ -136,7 +136,7 @@ def test_motors_that_are_off_are_told(daemon, machine):
         assert time.monotonic() < deadline
 
 
-def test_a_daemon_that_sends_other_things_alone_is_lost_and_they_are_told(daemon, machine):
+def test_a_daemon_that_sends_only_other_messages_is_lost_and_they_are_named(daemon, machine):
     daemon.silent = True
     daemon.connection.send('{"type": "joint_positions", "head_joint_positions": "all"}')
     with pytest.raises(MachineError, match=r"no angles for .* s; it sent '\{\"type\": \"joint_p"):

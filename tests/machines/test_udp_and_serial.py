@@ -202,7 +202,7 @@ def test_a_clock_that_does_not_go_on_is_one_line(robot, clock, message):
         machine.connect()
 
 
-def test_a_robot_that_says_nothing_is_one_line():
+def test_a_silent_robot_is_one_line():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as mute:
         mute.bind(("127.0.0.1", 0))
         with pytest.raises(MachineError, match="sends no readings: nothing has come"):

@@ -169,8 +169,7 @@ def test_what_it_raises_is_its_own(mine):
 
 
 @pytest.mark.parametrize(
-    ("name", "message"),
-    [("NoCommand", "command is missing"), ("Asks", "can be constructed"), ("Other", "a name that")],
+    ("name", "message"), [("NoCommand", "command is missing"), ("Asks", "can be constructed"), ("Other", "a name that")]
 )
 def test_a_class_that_is_none_is_a_line(mine, name, message):
     with pytest.raises(ConfigurationError, match=f"machine: .*{message}"):

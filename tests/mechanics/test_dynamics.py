@@ -8,19 +8,18 @@ import pytest
 from hypothesis import given
 from strategies import ROBOT, robots_and_poses, vectors
 
-from stewart_drake.base.errors import ConfigurationError, UnreachablePoseError
+from stewart_drake import ConfigurationError, forward_dynamics, inverse_dynamics, leg_geometry
+from stewart_drake.base.errors import UnreachablePoseError
 from stewart_drake.mechanics import dynamics, kinematics
 from stewart_drake.mechanics.dynamics import (
     crank_map,
     force_map,
     force_map_of_legs,
-    forward_dynamics,
-    inverse_dynamics,
     static_torque,
     task_bias,
     task_inertia,
 )
-from stewart_drake.mechanics.kinematics import leg_geometry, pose_rate_to_twist, twist_jacobian
+from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import robot_record, with_payload
 
 DATA = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())
@@ -107,7 +106,7 @@ def test_of_all_chunks_the_worst_leg_is_named(monkeypatch):
     assert (caught.value.leg, caught.value.margin) == (margins.argmin(), margins.min())
 
 
-def test_a_record_stands_for_a_robot_and_a_payload_adds_its_weight_and_inertia():
+def test_a_record_replaces_a_robot_and_a_payload_adds_its_weight_and_inertia():
     pose, motion = some_poses(5), (0.3 * np.ones(6), np.ones(6))
     longer = robot_record(ROBOT).copy()
     longer["rod_length"] = 0.41

@@ -27,10 +27,7 @@ MOBILITY = pose_jacobian(ROBOT, ROBOT.home_pose) @ pose_acceleration_map(ROBOT, 
 SET = BREAK_AWAY / LAW["stiffness"][0, 0]
 
 laws = st.builds(
-    lambda coulomb, more, rate, viscous, step: (
-        friction_law(coulomb, coulomb + more, rate, viscous, step),
-        step,
-    ),
+    lambda coulomb, more, rate, viscous, step: (friction_law(coulomb, coulomb + more, rate, viscous, step), step),
     st.floats(0.0, 0.5),
     st.floats(0.001, 0.5),
     st.floats(1e-4, 1.0),

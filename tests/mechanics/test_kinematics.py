@@ -10,14 +10,12 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from strategies import ROBOT, robots_and_poses, vectors
 
-from stewart_drake.base.errors import ConfigurationError, ForwardKinematicsError
+from stewart_drake import ConfigurationError, forward_kinematics, inverse_kinematics, leg_geometry
+from stewart_drake.base.errors import ForwardKinematicsError
 from stewart_drake.mechanics.kinematics import (
     conditioning,
     crank_rates,
     euler_rate_matrix,
-    forward_kinematics,
-    inverse_kinematics,
-    leg_geometry,
     newton,
     pose_jacobian,
     pose_rate_to_twist,
@@ -76,7 +74,7 @@ def test_an_angle_that_is_no_number_never_counts_as_convergence(leg):
     assert not error <= 1e-9
 
 
-def test_forward_kinematics_says_when_the_angles_cannot_be_assembled():
+def test_forward_kinematics_reports_angles_that_cannot_be_assembled():
     # Shafts so far out that no rod comes back to the platform, once the cranks point outwards.
     wide = ROBOT.replace(shaft_circle_radius=0.48, home_height=0.02, branch=1)
     with pytest.raises(ForwardKinematicsError, match="rod-length error") as caught:

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stewart_drake.mechanics.linear_algebra import any_nonzero, largest_size, multiply, singular_vectors, solve
+from stewart_drake.mechanics.linear_algebra import any_nonzero, largest_size, singular_vectors, solve
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -36,12 +36,6 @@ def test_singular_vectors_are_numpys(seed, n, log_condition, tolerance):
     np.testing.assert_allclose(v @ v.T, np.eye(n), atol=1e-13)
     u = work / s[:, None]
     np.testing.assert_allclose(u @ u.T, np.eye(n), atol=10.0 * tolerance + 1e-13)
-
-
-def test_multiply_is_numpys():
-    left, right, out = np.arange(6.0).reshape(2, 3), np.arange(12.0).reshape(3, 4) - 5.0, np.empty((2, 4))
-    multiply(left, right, out)
-    np.testing.assert_array_equal(out, left @ right)
 
 
 def test_nan_counts_as_the_largest_size_wherever_it_is():

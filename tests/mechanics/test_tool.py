@@ -113,10 +113,7 @@ def test_home_is_the_same_pose_of_the_platform(tool):
 @given(TOOLS)
 def test_what_is_measured_goes_back_into_the_platforms_frame(tool):
     robot = with_tool(UNEQUAL, *tool)
-    for same in (
-        torques.as_robot(robot, torques.values_of(robot)),
-        geometry.as_robot(robot, np.zeros(geometry.SIZE)),
-    ):
+    for same in (torques.as_robot(robot, torques.values_of(robot)), geometry.as_robot(robot, np.zeros(geometry.SIZE))):
         assert same.tool == robot.tool
         np.testing.assert_allclose(same.joints_in_platform, UNEQUAL.joints_in_platform, atol=1e-12)
         for name in ("platform_center_of_mass", "platform_inertia", "platform_products"):
@@ -151,7 +148,7 @@ def test_a_push_at_the_tool_moves_the_platform_as_the_same_push_at_p(plant):
     np.testing.assert_allclose(told, again, atol=0.03 * np.abs(plain - plain[0]).max())
 
 
-def test_a_controller_and_pictures_are_told_of_the_tool():
+def test_a_controller_and_pictures_know_the_tool():
     robot = with_tool(UNEQUAL, *TOOL)
     scenario = Scenario(robot=robot, sensors="encoders", motors=TorqueMotors(), reference="hold")
     np.testing.assert_allclose(scenario.reference.evaluate(0.0)[0], robot.home_pose)

@@ -8,18 +8,17 @@ import pytest
 import scipy.linalg
 from scipy.spatial.transform import Rotation
 
+from stewart_drake import RobotParameters, Scenario, leg_geometry
 from stewart_drake.analysis.feasibility import NEAR, sample_poses
 from stewart_drake.control.riccati import acceleration_map
 from stewart_drake.mechanics.dynamics import task_inertia
-from stewart_drake.mechanics.kinematics import conditioning, leg_geometry, rod_lines, twist_jacobian
+from stewart_drake.mechanics.kinematics import conditioning, rod_lines, twist_jacobian
 from stewart_drake.paper.force_map import light_legs, measured, predicted, relative_error, to_euler
 from stewart_drake.paper.kinematics import DURATION, START, TORQUE, branch_of_6, exact_motion
 from stewart_drake.paper.network import best_possible_scores
 from stewart_drake.paper.nine_experiments import distinct, gains_along_reference, relative_distances
 from stewart_drake.paper.reproduce import PAIRS, WIDE
 from stewart_drake.paper.state_space import decay_limit, first_singularity, gain_of_ratio, slowest_decay
-from stewart_drake.robot import RobotParameters
-from stewart_drake.scenario.scenario import Scenario
 
 ROBOT = RobotParameters()
 HOME = ROBOT.home_pose
@@ -59,7 +58,7 @@ def exact(robot, poses=POSES):
 
 
 @pytest.mark.parametrize(("scale", "tolerance"), [(1.0, 2e-5), (1e-2, 1e-6)])
-def test_drake_accelerates_as_the_exact_model_says(scale, tolerance):
+def test_drake_accelerates_as_the_exact_model(scale, tolerance):
     robot = light_legs(ROBOT, scale)
     assert relative_error(robot, measured(robot, POSES, 9.81), exact(robot)).max() < tolerance
 

@@ -85,7 +85,7 @@ def numbers_in(text):
     return found
 
 
-def test_departures_stand_once_and_name_files_that_exist():
+def test_departures_are_listed_once_and_name_files_that_exist():
     assert len({tuple(each[:2]) for each in DEPARTURES}) == len(DEPARTURES) == 29
     for *texts, places in DEPARTURES:
         assert all(len(text) > 2 for text in texts)

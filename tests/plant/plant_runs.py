@@ -4,8 +4,7 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from strategies import ROBOT
 
-from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.plant.plant_options import DrakeOptions
+from stewart_drake import DrakeOptions, build_plant
 
 _built = {}
 

@@ -5,12 +5,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from strategies import UNEQUAL
 
-from stewart_drake.base.errors import ConfigurationError, SingularPoseError
-from stewart_drake.mechanics.dynamics import forward_dynamics, static_torque
-from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
+from stewart_drake import ConfigurationError, RobotParameters, Scenario, forward_dynamics, inverse_kinematics
+from stewart_drake.base.errors import SingularPoseError
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.kinematics import pose_jacobian
 from stewart_drake.plant.closed_form import ClosedForm, ClosedFormOptions, ClosedFormState
-from stewart_drake.robot import RobotParameters
-from stewart_drake.scenario.scenario import Scenario
 
 GRAVITY = 9.81
 PAPER = RobotParameters()

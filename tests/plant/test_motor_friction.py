@@ -3,13 +3,11 @@ import pytest
 from plant_runs import Run
 from strategies import UNEQUAL
 
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, DrakeOptions, load_robot
 from stewart_drake.base.registry import PLANTS
 from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.friction import FrictionOptions
-from stewart_drake.plant.plant_options import DrakeOptions
-from stewart_drake.robot.robot_files import load_robot
 
 SIGNS = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
 SMALL = load_robot("reachy_mini")

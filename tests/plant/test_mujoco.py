@@ -13,9 +13,8 @@ from mujoco_robot import MujocoRobot
 from plant_runs import Run
 from strategies import ROBOT
 
+from stewart_drake import DrakeOptions, load_robot
 from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.plant.plant_options import DrakeOptions
-from stewart_drake.robot.robot_files import load_robot
 
 FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]
 DURATION, STEP = 0.15, 5e-5
@@ -52,7 +51,6 @@ def test_drake_and_euler_of_mujoco_differ_at_second_order_only(motion):
     drake, coarse = (platforms(robot, pose, torque, step) for step in (STEP, 2.0 * STEP))
     apart = [np.abs(weight * (one - other)).max() for one, other in (drake, coarse)]
     assert apart[1] / apart[0] == pytest.approx(4.0, rel=0.1)
-    # The error that they share is of first order, and far larger.
     assert apart[0] < 0.02 * np.abs(weight * (coarse[0] - drake[0])).max()
     # What the project promises; 5e-10 m of the reference, 98e-9 m of the bold one.
     assert np.abs((drake[0] - drake[1])[:3]).max() < 1e-7

@@ -8,27 +8,26 @@ import mujoco
 import numpy as np
 import pytest
 
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure
-from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.mechanics.dynamics import static_torque
-from stewart_drake.mechanics.kinematics import (
-    crank_rates,
+from stewart_drake import (
+    ConfigurationError,
+    RobotParameters,
     inverse_kinematics,
     leg_geometry,
-    reach_margin,
-    rotation_matrix,
-    twist_jacobian,
+    load_robot,
+    load_scenario,
+    run,
+    run_metrics,
 )
+from stewart_drake.base.errors import NotFiniteError, RunFailure
+from stewart_drake.mechanics.dynamics import static_torque
+from stewart_drake.mechanics.kinematics import crank_rates, reach_margin, rotation_matrix, twist_jacobian
 from stewart_drake.plant import mjcf_legs
 from stewart_drake.plant.closed_form import ClosedFormOptions
 from stewart_drake.plant.model_files import mjcf_text
 from stewart_drake.plant.mujoco_plant import MujocoOptions
 from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES, POSE, RATE
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.robot_files import load_robot, robot_model
+from stewart_drake.robot.robot_files import robot_model
 from stewart_drake.runs.checks import compared_with_model
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import load_scenario
 
 PAPER, HEAD, GRAVITY, STILL = RobotParameters(), load_robot("reachy_mini"), 9.81, np.zeros(6)
 MOTORS = range(6)
@@ -49,9 +48,6 @@ def reachable(robot, count, seed=0):
 def write(path, text):
     path.write_text(text, encoding="utf-8")
     return str(path)
-
-
-# --- our own ---
 
 
 # Position [m] within which a second of a run is that of the closed form. With exact sensors and without friction both
@@ -170,22 +166,6 @@ def test_any_order_names_turn_and_mount_of_the_model_will_do(tmp_path):
         assert max(apart[POSE].max(), apart[ANGLES].max()) < 1e-4
 
 
-def test_it_goes_on_from_where_it_was_saved_to_the_bit():
-    plant, other = (MujocoOptions(motor_friction=0.05, payload_mass=mass).make(PAPER, GRAVITY) for mass in (0.0, 0.2))
-    plant.initial(PAPER.home_pose, STILL)
-    torque = static_torque(PAPER, PAPER.home_pose) + 0.1
-    for _ in range(20):
-        plant.step(torque, STILL)
-    state = plant.save()
-    first = [plant.step(torque, STILL).copy() for _ in range(20)]
-    plant.restore(state)
-    np.testing.assert_array_equal(first, [plant.step(torque, STILL).copy() for _ in range(20)])
-    # Another plant of the kind takes the state too.
-    np.testing.assert_array_equal(other.restore(state), plant.restore(state))
-    with pytest.raises(ConfigurationError, match="state of a plant"):
-        plant.restore(state[:-1])
-
-
 def test_what_blows_up_is_said_without_a_file_of_mujocos(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     plant = MujocoOptions(time_step=0.01, model_file=write(tmp_path / "robot.xml", mjcf_text(PAPER))).make(
@@ -200,9 +180,6 @@ def test_what_blows_up_is_said_without_a_file_of_mujocos(tmp_path, monkeypatch):
     with pytest.raises(NotFiniteError, match="MuJoCo's state is not finite"):
         go_on()
     assert [each.name for each in tmp_path.iterdir()] == ["robot.xml"]
-
-
-# --- the maker's ---
 
 
 @makers
@@ -259,9 +236,6 @@ def test_on_the_makers_model_we_nod_as_on_our_own():
         errors.append(run_metrics(run(load_scenario("reachy_nod").replace(changes)))["rmse_norm_deg"])
     assert errors[1] == pytest.approx(errors[0], rel=0.2)
     assert errors[1] < 0.06
-
-
-# --- bad input ---
 
 
 def problem(robot=HEAD, **options):

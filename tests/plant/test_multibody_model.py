@@ -7,10 +7,9 @@ from hypothesis import strategies as st
 from multibody_model import task_dynamics
 from strategies import ALTERNATING, ROBOT, TANGENTIAL, UNEQUAL, poses, vectors
 
+from stewart_drake import DrakeOptions, build_plant
 from stewart_drake.mechanics.dynamics import task_bias, task_inertia
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian
-from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.plant.plant_options import DrakeOptions
 
 HEAVY = ROBOT.replace(rod_mass=0.8, crank_mass=0.4, rod_inertia=(0.016, 0.016, 0.00001))
 THICK = ROBOT.replace(rod_inertia=(0.0016, 0.0016, 0.001))

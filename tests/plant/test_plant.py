@@ -13,12 +13,11 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from scipy.optimize import brentq
 from strategies import ROBOT, poses, vectors
 
-from stewart_drake.base.errors import ConfigurationError, SingularPoseError, UnreachablePoseError
-from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian, pose_rate_to_twist, reach_margin
+from stewart_drake import ConfigurationError, DrakeOptions, inverse_kinematics, load_scenario, run
+from stewart_drake.base.errors import SingularPoseError, UnreachablePoseError
+from stewart_drake.mechanics.kinematics import pose_jacobian, pose_rate_to_twist, reach_margin
 from stewart_drake.plant.model_files import sdf_text
-from stewart_drake.plant.plant_options import DrakeOptions, platform_damping_limit
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import load_scenario
+from stewart_drake.plant.plant_options import platform_damping_limit
 
 FREE_MOTION = json.loads((Path(__file__).parents[1] / "data" / "reference_values.json").read_text())["free_motion"]
 HOME = ROBOT.home_pose

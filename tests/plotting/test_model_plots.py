@@ -3,11 +3,9 @@
 import numpy as np
 from simulated_identification import deviating, recorded
 
-from stewart_drake import RobotParameters
-from stewart_drake.estimation.identification import identify
+from stewart_drake import RobotParameters, SineReference, identify
 from stewart_drake.hardware.sensors import EncoderOptions
 from stewart_drake.plotting import model_plots
-from stewart_drake.references.motions import SineReference
 
 
 def test_an_identification_shows_each_motor_s_torque_over_time_and_what_is_left_over_the_rate(monkeypatch):

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from made_logs import made_log
 
-from stewart_drake.logs.metrics import run_metrics
-from stewart_drake.plotting import plot_learnt, plot_states, plot_torques, save_figure
+from stewart_drake import Scenario, plot_states, plot_torques, run_metrics
+from stewart_drake.plotting import plot_learnt, save_figure
 from stewart_drake.plotting.study_plots import plot_map, plot_rmse, plot_sweep
-from stewart_drake.scenario.scenario import Scenario
 
 AXES = ("φ", "θ", "ψ", "X", "Y", "Z")
 EACH = pytest.mark.parametrize("plot", [plot_states, plot_torques, plot_learnt])
@@ -98,12 +97,11 @@ def test_saturated_torque_shows_the_limit_and_the_command_of_that_motor_alone():
     np.testing.assert_array_equal(lines(figure.axes[2])["commanded"][:, 1], torque[:, 2])
     for axes in figure.axes:
         assert {5.0, -5.0} <= {line.get_ydata()[0] for line in axes.lines if line.get_linestyle() == ":"}
-        # The command is far off the scale; what the motors gave is not flattened by it.
         assert axes.get_ylim()[1] == pytest.approx(7.0)
 
 
 @EACH
-def test_a_run_says_how_it_ended_and_marks_when(plot):
+def test_a_plot_names_how_the_run_ended_and_marks_when(plot):
     assert plot(make_log()).get_suptitle() == "made up: completed, 9.975 s"
     outcome = {"status": "failed", "reason": "crank_dead_centre", "leg": 5, "end_time": 2.48}
     figure = plot(dataclasses.replace(make_log(rows=100), **outcome))

@@ -4,10 +4,9 @@ import importlib.util
 
 import numpy as np
 import pytest
+from lagging_servos import Servos
 
-from stewart_drake import ConfigurationError, load_scenario, run
-from stewart_drake.machines.machine import Reading
-from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake import ConfigurationError, Scenario, inverse_kinematics, load_robot, load_scenario, run
 from stewart_drake.reachy.moves import HEAD_HEIGHT, STEP, Move, move_json, moves_of, read_move
 from stewart_drake.reachy.possible_moves import (
     SMOOTHEST,
@@ -18,10 +17,9 @@ from stewart_drake.reachy.possible_moves import (
     motion_of,
     shaped_move,
 )
-from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.runs.checks import check_scenario
 from stewart_drake.runs.drive import connected
-from stewart_drake.scenario.scenario import Scenario, load_driven
+from stewart_drake.scenario.scenario import load_driven
 
 ROBOT = load_robot("reachy_mini")
 SERVO = ["motors={kind: position, preset: xl330_m288, delay: 0.01}", "controller={kind: feedforward}", "safety=null"]
@@ -64,7 +62,6 @@ def test_a_jump_is_averaged_around_it_and_nowhere_else():
     away = np.abs(move.time - 1.5) > 0.3
     np.testing.assert_allclose(fixed.pose[away], move.pose[away], atol=1e-5)
     assert changes["longer %"] == 0.0
-    # Half of the jump, as close to it as a row is.
     assert np.degrees(0.05) < changes["change deg"] <= np.degrees(0.1) + 1e-6
 
 
@@ -110,18 +107,6 @@ def played(path, move):
     return Scenario.from_dict(data)
 
 
-class AtHome:
-    """A machine that rests in the home pose."""
-
-    period, takes, reads, paced = 0.02, "angle", True, True
-
-    def connect(self):
-        pass
-
-    def read(self):
-        return Reading(inverse_kinematics(ROBOT, ROBOT.home_pose), 0.0, 0.0, 1)
-
-
 @pytest.mark.parametrize(
     ("noise", "jitter", "deg", "mm"), [(0, 0, 0.03, 0.02), (1, 0, 0.08, 0.08), (0, 0.003, 0.04, 0.02)]
 )
@@ -150,9 +135,8 @@ def test_what_fix_passes_check_run_and_drive_pass(tmp_path, move):
     scenario = played(tmp_path / "fixed.json", fixed)
     for duration in (0.7, fixed.time[-1], scenario.reference.end, fixed.time[-1] + 1.0):
         check_scenario(scenario.replace({"duration": duration}))
-    planned = connected(scenario, AtHome())
+    planned = connected(scenario, Servos())
     assert planned.duration > scenario.reference.end
-    # It rests at its last row, and goes no further.
     np.testing.assert_allclose(scenario.reference.evaluate(99.0)[0], fixed.pose[-1], atol=2e-4)
 
 
@@ -204,11 +188,6 @@ def test_an_ordinary_player_of_a_shaped_move_sends_what_the_exact_model_sends(tm
     log = run(scenario.replace({"reference": reference, "duration": 1.4}), check=False)
     sent = np.array([log["commanded_angle"][np.searchsorted(log.time, time - 1e-6)] for time in back.time[:60]])
     np.testing.assert_allclose(inverse_kinematics(ROBOT, back.pose[:60]), sent, atol=1e-6)
-
-
-def test_a_controller_that_reads_or_sends_torques_shapes_nothing():
-    with pytest.raises(ConfigurationError, match="motors that take angles"):
-        shaped_move(load_scenario("reachy_nod"), moving(0, np.zeros(100)))
 
 
 TOOL = {"position": [0.02, 0.0, 0.1], "orientation": [0.2, -0.1, 0.3]}

@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stewart_drake import ConfigurationError
-from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake import ConfigurationError, inverse_kinematics, load_robot
 from stewart_drake.reachy.moves import HEAD_HEIGHT, Move, head_of_pose, move_json, moves_of, pose_of_head, read_move
 from stewart_drake.references import RecordedReference
-from stewart_drake.robot.robot_files import load_robot
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from test_reachy_mini import makers

@@ -6,14 +6,13 @@ import numpy as np
 from hypothesis import strategies as st
 from strategies import vectors
 
+from stewart_drake import HoldReference, SineReference
 from stewart_drake.references import (
     AdjustedReference,
     BreathingReference,
     HeartbeatReference,
-    HoldReference,
     MinimumJerkReference,
     SineBurstsReference,
-    SineReference,
     SplineReference,
     SumReference,
     TremorReference,

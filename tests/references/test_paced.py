@@ -26,11 +26,10 @@ def test_rates_and_accelerations_are_derivatives(stop, approach):
     _, rate, acceleration = made.evaluate(times)
     before, after = made.evaluate(times - h), made.evaluate(times + h)
     np.testing.assert_allclose((after[0] - before[0]) / (2.0 * h), rate, atol=2e-6)
-    # Its jerk is bounded, not continuous.
     np.testing.assert_allclose((after[1] - before[1]) / (2.0 * h), acceleration, atol=2e-4)
 
 
-def test_it_begins_at_rest_where_the_robot_stands_and_goes_on_as_the_motion():
+def test_it_begins_at_rest_at_the_pose_of_the_robot_and_goes_on_as_the_motion():
     made = paced()
     pose, rate, acceleration = made.evaluate(0.0)
     np.testing.assert_allclose(pose, START)

@@ -6,10 +6,8 @@ import pyarrow.csv as pc
 import pyarrow.parquet as pq
 import pytest
 
-from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.references import RecordedReference, SineReference, center_of
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import Scenario
+from stewart_drake import ConfigurationError, Scenario, SineReference, run
+from stewart_drake.references import RecordedReference, center_of
 
 COLUMNS = ("time", "roll", "pitch", "yaw", "x", "y", "z")
 MOTION = SineReference()
@@ -59,7 +57,7 @@ def test_angles_that_wrap_are_followed_as_if_they_did_not(tmp_path, middle):
     np.testing.assert_allclose(derivatives, those, atol=1e-8)
 
 
-def test_a_run_is_as_long_as_its_recording_unless_it_is_told(tmp_path):
+def test_a_run_is_as_long_as_its_recording_by_default(tmp_path):
     motion = {"kind": "recorded", "motion_file": str(save(table(), tmp_path / "motion.csv")), "settle": 0.25}
     scenario = Scenario(reference=motion)
     assert scenario.duration == 3.125

@@ -7,7 +7,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from references.laws import KINDS, bursts, check_derivatives, check_smooth, ends, moves, simple, six, splines, sums
 
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, Scenario, paper_reference
 from stewart_drake.references import (
     AdjustedReference,
     HeartbeatReference,
@@ -17,9 +17,7 @@ from stewart_drake.references import (
     SumReference,
     TremorReference,
     center_of,
-    paper_reference,
 )
-from stewart_drake.scenario.scenario import Scenario
 
 CENTER = (0.1, -0.05, 0.2, 0.01, -0.02, 0.3)
 
@@ -41,7 +39,6 @@ def test_the_papers_reference_is_37_and_38(time):
     np.testing.assert_allclose(pose[0], math.pi / 6.0 * math.sin(2.0 * time), atol=1e-15)
     np.testing.assert_allclose(pose[5], 0.05 * math.sin(2.0 * time) + 0.3, atol=1e-15)
     assert not pose[1:5].any()
-    # It starts in the centre, at full speed.
     _, start, _ = paper_reference().evaluate(0.0)
     np.testing.assert_allclose(start, [math.pi / 3.0, 0, 0, 0, 0, 0.1])
     assert np.all(np.abs(rate) <= np.abs(start))

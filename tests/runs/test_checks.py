@@ -30,10 +30,7 @@ def feasible(robot, reference, duration):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("robot", "reference", "duration"),
-    [(ROBOT, FAST, 1.0), (ROBOT, TOO_FAR, 4.0)],
-)
+@pytest.mark.parametrize(("robot", "reference", "duration"), [(ROBOT, FAST, 1.0), (ROBOT, TOO_FAR, 4.0)])
 def test_the_size_found_is_feasible_and_one_per_cent_more_is_not(robot, reference, duration):
     fitted, scale = fit_amplitude(robot, LIMITS, reference, duration, GRAVITY)
     assert 0.05 < scale < 1.0
@@ -65,7 +62,7 @@ BRIEF = MinimumJerkReference(poses=((0.0, 0.0, 0.0, 0.0, 0.0, 0.3), (0.0, 0.0, 0
 
 
 @pytest.mark.parametrize("reference", [BRIEF, lambda time: BRIEF.evaluate(time)[0]], ids=["shipped", "own"])
-def test_a_refusal_says_how_much_smaller_or_slower_a_brief_motion_can_be(reference):
+def test_a_refusal_states_how_much_smaller_or_slower_a_brief_motion_can_be(reference):
     with pytest.raises(InfeasibleReferenceError, match="can be done at about") as caught:
         check_scenario(Scenario(reference=reference, duration=20.0))
     size, slowdown = map(float, re.search(r"([\d.]+) % .* ([\d.]+) times slower", str(caught.value)).groups())

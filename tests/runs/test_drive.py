@@ -4,13 +4,12 @@ import re
 
 import numpy as np
 import pytest
+from lagging_servos import HOME, Servos
 
-from stewart_drake import load_scenario, run_metrics
-from stewart_drake.base.errors import ConfigurationError, InfeasibleReferenceError, RunFailure
-from stewart_drake.logs.log import load_log
+from stewart_drake import ConfigurationError, inverse_kinematics, load_log, load_scenario, run_metrics
+from stewart_drake.base.errors import InfeasibleReferenceError, RunFailure
 from stewart_drake.machines.machine import MachineError, Reading
 from stewart_drake.machines.simulated import SimulatedRobot
-from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.references.paced import RAMP
 from stewart_drake.runs.drive import APPROACH_SPEED, HOLD_TIME, Drive, connected
 from stewart_drake.runs.replay import write_replay
@@ -22,35 +21,8 @@ SERVOS = {
     "model": {"friction": None, "motors": {"kind": "position", "preset": "xl330_m288", "damping": 0.0}},
 }
 BASE = load_scenario("reachy_nod").replace(SERVOS)
-HOME = inverse_kinematics(BASE.robot, BASE.robot.home_pose)
 HOME_POSE, FAR = BASE.robot.home_pose.tolist(), (BASE.robot.home_pose + [0.0, 0.0, 0.0, 0.0, 0.0, 0.1]).tolist()
 ROTATED = BASE.robot.home_pose + [0.1, -0.05, 0.1, 0.0, 0.0, 0.003]
-
-
-class Servos:
-    """A paced machine at 50 Hz."""
-
-    period, takes, reads, paced = 0.02, "angle", True, True
-
-    def __init__(self, angles=HOME, at=None, event=None):
-        self.angles, self.count, self.commands, self.gone = np.array(angles), 0, [], False
-        self.at, self.event, self.age, self.holding = at, event, 0.0, False
-
-    def connect(self):
-        pass
-
-    def read(self):
-        self.count += 1
-        if self.count == self.at:
-            self.event(self)
-        return Reading(self.angles.copy(), 0.02 * self.count, self.age, self.count, holding=self.holding)
-
-    def command(self, values):
-        self.commands.append(values.copy())
-        self.angles += 0.6 * (values - self.angles)
-
-    def disconnect(self):
-        self.gone = True
 
 
 class Exact:
@@ -83,7 +55,7 @@ def driven(machine, scenario=BASE, seconds=None):
     return Drive(scenario, machine, connected(scenario, machine, seconds)).run()
 
 
-def test_it_comes_from_where_the_robot_stands_to_the_motion_and_rests_at_its_end():
+def test_it_approaches_the_motion_from_the_pose_of_the_robot_and_rests_at_its_end():
     machine = Servos(inverse_kinematics(BASE.robot, ROTATED))
     start = connected(BASE, machine)
     np.testing.assert_allclose(start.pose, ROTATED, atol=1e-6)
@@ -224,24 +196,6 @@ def test_one_reading_that_is_wrong_is_not_where_the_robot_is_sent(off):
     assert np.abs(np.diff(machine.commands, axis=0)).max() < 0.12
 
 
-def test_a_crank_that_reads_one_value_does_not_jump_there():
-    def stuck(machine):
-        read, held = machine.read, machine.angles[1]
-
-        def other():
-            reading = read()
-            reading.angles[1] = held
-            return reading
-
-        machine.read = other
-
-    nod = {"kind": "sine", "amplitude": [0, 0.1745, 0, 0, 0, 0], "angular_frequency": 3.1416}
-    machine = Servos(at=180, event=stuck)
-    log = driven(machine, BASE.replace({"duration": 10.0, "reference": nod}))
-    assert (log.reason, log.leg) == ("not_moving", 1)
-    assert np.abs(np.diff(machine.commands, axis=0)).max() < 0.06
-
-
 def test_a_robot_that_torques_move_is_held_at_the_pose_that_is_measured():
     scenario = load_scenario("exact_fig7", ["plant.kind=closed_form", "sensors=encoders", "duration=1", "safety=null"])
     scenario = scenario.replace({"bounds.crank_angle": 0.02})
@@ -255,7 +209,7 @@ def test_a_robot_that_torques_move_is_held_at_the_pose_that_is_measured():
     np.testing.assert_allclose(log["pose"][at - 1], last, atol=1e-3)
 
 
-def test_the_way_begins_where_the_robot_stands_at_the_first_command():
+def test_the_approach_begins_at_the_pose_of_the_first_command():
     machine = Servos()
     start = connected(BASE, machine)
     drive = Drive(BASE, machine, start)
@@ -343,7 +297,7 @@ def test_what_does_not_fit_is_refused_before_anything_moves(change, words):
     assert machine.commands == []
 
 
-def test_a_machine_that_tells_no_angles_teaches_nothing():
+def test_adaptation_is_refused_for_a_machine_without_angles():
     machine = Servos()
     machine.reads = False
     with pytest.raises(ConfigurationError, match=r"adaptation.*does not tell its angles"):
@@ -393,12 +347,14 @@ def dead(leg):
 
 
 @pytest.mark.parametrize(("leg", "at"), [(0, 2), (1, 2), (1, 250), (4, 250)])
-def test_a_motor_that_dies_stops_it_within_two_seconds(leg, at):
+def test_a_dead_motor_stops_the_drive_within_two_seconds(leg, at):
     """10 deg at 0.5 Hz; of the legs that move least, and after it has moved for long."""
     nod = {"kind": "sine", "amplitude": [0, 0.1745, 0, 0, 0, 0], "angular_frequency": 3.1416}
     machine = Servos(at=at, event=dead(leg))
     log = driven(machine, BASE.replace({"duration": 12.0, "reference": nod}))
     assert (log.status, log.reason, log.leg) == ("failed", "not_moving", leg)
+    # Nor is the robot sent to the reading that stands still, all at once.
+    assert np.abs(np.diff(machine.commands, axis=0)).max() < 0.06
     # The approach does not move here, and the motion begins slowly.
     assert log.outcome_time < max(0.02 * at, 1.5) + 2.0
 
@@ -439,7 +395,7 @@ def motion_frequency(machine, log):
         (lambda now: 0.42 if 6.0 < now < 6.02 else 0.02, 1, "it paused once, for up to 0.42 s", 0.06),
     ],
 )
-def test_the_tick_of_a_machine_is_measured_told_and_used(tick, counts, words, within):
+def test_the_tick_of_a_machine_is_measured_reported_and_used(tick, counts, words, within):
     sine = {"kind": "sine", "amplitude": [0, 0.05, 0, 0, 0, 0], "angular_frequency": 6.2832}
     machine = Ticking(tick, counts)
     scenario = BASE.replace({"duration": 10.0, "reference": sine})

@@ -10,17 +10,13 @@ import numpy as np
 import pytest
 from made_logs import made_log
 
+from stewart_drake import ConfigurationError, Scenario, build_diagram, load_log, load_scenario, run, run_metrics
 from stewart_drake.base.atomic_files import signals_held
-from stewart_drake.base.errors import ConfigurationError, DiskError
+from stewart_drake.base.errors import DiskError
 from stewart_drake.logs import versions
-from stewart_drake.logs.log import load_log
-from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.logs.versions import source_digest
 from stewart_drake.runs import outputs
 from stewart_drake.runs.outputs import draw_run, new_run_folder, prepare_file, save_run
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import Scenario, load_scenario
-from stewart_drake.systems.diagram import build_diagram
 
 ALWAYS = {"log.parquet", "metrics.json", "scenario.yaml"}
 PICTURES = {"states.png", "torques.png", "replay.html"}
@@ -83,7 +79,6 @@ def test_a_place_is_taken_before_the_run_and_left_as_it_was_where_nothing_comes_
                 pass
     assert names(tmp_path) == {"runs"}
     assert names(tmp_path / "runs") == set()
-    # What a killed run leaves is in nobody's way.
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / ".lock").touch()
     (tmp_path / "out" / ".log.parquet.7.7.part").touch()

@@ -5,8 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import Scenario
+from stewart_drake import Scenario, run
 
 RUNS, PARTS = 90, 3
 HERE = [pytest.param(part, marks=[pytest.mark.long] if part else []) for part in range(PARTS)]
@@ -79,5 +78,4 @@ def test_no_completed_run_of_90_is_worse_than_standing_still(part):
             assert whole <= 1.0, seed
             assert moved >= 0.2 * motion, seed
             assert whole <= 0.5 or "poorly_followed" in {warning["name"] for warning in log.warnings}, seed
-    # Neither is a rare end here.
     assert min(ends["completed", None], ends["lost", "not_followed"]) >= 3

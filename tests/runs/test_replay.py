@@ -11,11 +11,8 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from stewart_drake.logs.log import SimulationLog
-from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.runs.pictures import write_film
+from stewart_drake import Scenario, SimulationLog, build_plant, write_film
 from stewart_drake.runs.replay import nearest_rows, write_replay
-from stewart_drake.scenario.scenario import Scenario
 
 
 def make_log(rows=101, period=0.005, **outcome):
@@ -64,13 +61,6 @@ def test_platform_and_reference_move_as_logged(page):
         np.testing.assert_allclose((Rotation.from_quat(at[:, 3:]) * wanted.inv()).magnitude(), 0.0, atol=1e-6)
 
 
-def test_without_a_state_of_drake_the_robot_is_drawn_as_with_it(tmp_path):
-    log = make_log()
-    del log.signals["plant_state"]
-    (run,), (with_state,) = (shown(written(each, tmp_path)) for each in (log, LOG))
-    np.testing.assert_allclose(links(run), links(with_state), atol=1e-6)
-
-
 @given(st.integers(1, 300), st.sampled_from([0.0007, 0.005, 1.0 / 30.0, 1.0]), st.sampled_from([1.0, 30.0, 1000.0]))
 def test_every_frame_shows_the_nearest_row_and_no_row_twice(rows, period, rate):
     time = period * np.arange(rows)
@@ -102,7 +92,7 @@ def test_what_is_not_finite_does_not_break_the_page(tmp_path):
     assert "NaN" not in re.search(r'<script id="data" type="application/json">(.*?)</script>', text, re.DOTALL)[1]
 
 
-def test_errors_and_torques_of_several_runs_stand_beside_their_robots(tmp_path):
+def test_errors_and_torques_of_several_runs_are_beside_their_robots(tmp_path):
     first, second = make_log(), dataclasses.replace(make_log(rows=51), status="stopped", message="why\nand where")
     torque = np.arange(606.0).reshape(101, 6)
     first.signals["torque_applied"] = torque

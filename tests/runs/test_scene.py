@@ -4,12 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.plant.plant_options import DrakeOptions
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.robot_files import load_robot
-from stewart_drake.runs.scene import link_poses, robot_scene
+from stewart_drake import DrakeOptions, RobotParameters, build_plant, inverse_kinematics, load_robot
+from stewart_drake.runs.scene import link_poses
 
 ROBOTS = {"paper": RobotParameters(), "reachy_mini": load_robot("reachy_mini")}
 
@@ -44,18 +40,3 @@ def test_links_are_where_drake_has_them(name, joint):
         closed = link_poses(robot, pose, inverse_kinematics(robot, pose), pose)
         whole = [leg for leg in range(13) if leg != 8]
         np.testing.assert_allclose(closed[whole], at[whole], atol=1e-9)
-
-
-def test_shapes_are_those_of_the_sdf():
-    robot = RobotParameters()
-    scene = robot_scene(robot)
-    assert list(scene["links"]) == [
-        *(f"{kind}_{leg}" for kind in ("crank", "rod") for leg in range(6)),
-        "platform",
-        "reference",
-    ]
-    assert [shape["kind"] for shape in scene["links"]["rod_3"]] == ["cylinder", "sphere"]
-    assert scene["links"]["rod_3"][0]["size"][1] == pytest.approx(robot.rod_lengths[3])
-    shapes = [*scene["fixed"], *(shape for link in scene["links"].values() for shape in link)]
-    assert all(shape["kind"] in ("box", "cylinder", "sphere", "ellipsoid") for shape in shapes)
-    assert all((len(shape["at"]), len(shape["colour"])) == (6, 4) for shape in shapes)

@@ -2,9 +2,7 @@
 
 import pytest
 
-from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.runs.step_response import step
-from stewart_drake.scenario.scenario import load_scenario
+from stewart_drake import ConfigurationError, load_scenario, step
 
 SCENARIO = {"plant.kind": "closed_form", "duration": 0.4, "model.friction": None, "plant.motor_friction": 0.0}
 

@@ -4,9 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from stewart_drake.runs.simulation import run
+from stewart_drake import load_scenario, run
 from stewart_drake.safety.residual import apply_dry_friction
-from stewart_drake.scenario.scenario import load_scenario
 from stewart_drake.studies.faults import FAULTS, base, stopped_at, travel
 
 ONSET = 0.4
@@ -64,7 +63,6 @@ def test_a_robot_that_friction_holds_stays_where_it_is_when_a_reading_is_lost():
 @pytest.mark.parametrize("learns", [{"model.friction.coulomb": 0.2}, {"adaptation": "regression"}])
 @pytest.mark.parametrize(("kind", "most"), [("nan", 0.5), ("freeze", 5.0)])
 def test_a_stop_without_a_reading_counts_the_friction_that_is_known(kind, most, learns):
-    # It turned by 1.5 to 28 deg while the estimate of the lost crank's speed had no friction.
     fault = {"kind": kind, "leg": 5, "time": 2.15}
     common = {"plant.kind": "closed_form", "plant.motor_friction": 0.2, "duration": 3.0, "safety": {}}
     sensors = {"kind": "encoders", "resolution_bits": 17, "faults": [fault]}
@@ -114,7 +112,7 @@ def test_loads_and_pushes_that_the_controller_does_not_know_are_no_fault(name):
 
 
 @pytest.mark.slow
-def test_more_than_is_allowed_is_told_and_null_allows_all():
+def test_an_unexplained_torque_beyond_its_limit_stops_the_run_and_null_allows_all():
     heavy = {"plant.payload_mass": 0.5, "plant.payload_position": [0.05, 0.0, 0.0]}
     log = run(heart(**heavy, **{"safety.unexplained_torque": 0.02}))
     assert (log.status, log.reason) == ("stopped", "unexplained_torque")

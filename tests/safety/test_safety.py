@@ -223,7 +223,6 @@ def test_without_a_measurement_nothing_is_held_for_longer_than_the_budget():
     done, stop = run([GOOD, *[blind] * 100])
     assert [m.level for m in done[1:]] == [HOLD] * 20
     assert (stop.reason, stop.trip["worst"], stop.trip["time"]) == ("measurement_not_finite", "end", 0.001)
-    # Nor when it is lost while the robot is stopping.
     done, stop = run([GOOD, ASTRAY, *[blind] * 100])
     assert len(done) == 22
     assert (stop.reason, stop.trip["worst"]) == ("following_error", "end")
@@ -264,13 +263,12 @@ def frozen(ticks):
     return -1 if trips[0]["leg"] is None else trips[0]["leg"]
 
 
-def test_a_pose_that_stands_while_the_reference_moves_is_frozen():
+def test_a_constant_pose_while_the_reference_moves_is_frozen():
     def of(poses, wanted):
         return frozen([inputs(reference=w, pose_reading=p) for p, w in zip(poses, wanted, strict=True)])
 
     moving, still = HOME + np.arange(150)[:, None] * 1e-4 * np.eye(6)[5], np.tile(HOME, (150, 1))
     assert (of(still, moving), of(moving, moving), of(still, still)) == (-1, None, None)
-    # One last bit of one axis is a sign of life.
     alive = still + np.spacing(0.3) * (np.arange(150) % 2)[:, None] * np.eye(6)[5]
     assert of(alive, moving) is None
 
@@ -322,14 +320,10 @@ def test_limits_within_which_the_motors_cannot_do_the_motion_are_refused_and_wid
         refuse_motion(ROBOT, SafetyOptions(**{name: 0.5 * needed}), STANDARD_GRAVITY, time, motion)
 
 
-@pytest.mark.parametrize(("behind", "leg"), [(5e-7, 0), (2e-6, 3)])
-def test_of_a_tie_the_first_leg_is_named(behind, leg):
-    values = np.array([0.0, 0.5, 1.0, -behind, 0.0, 1.0])
-    assert first_least(values) == leg
+TIED, FIVE = [0.0, 0.5, 1.0, -5e-7, 0.0, 1.0], [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+CASES = [(TIED, 0), ([*TIED[:3], -2e-6, *TIED[4:]], 3), *(([*FIVE[:k], np.nan, *FIVE[k + 1 :]], k) for k in range(6))]
 
 
-@pytest.mark.parametrize("leg", range(6))
-def test_a_number_that_is_none_names_its_leg(leg):
-    values = np.arange(6.0)
-    values[leg] = np.nan
-    assert first_least(values) == leg
+@pytest.mark.parametrize(("values", "leg"), CASES)
+def test_the_first_leg_of_a_tie_and_a_leg_that_is_not_a_number_are_named(values, leg):
+    assert first_least(np.array(values)) == leg

@@ -5,14 +5,13 @@ from typing import ClassVar, Literal
 import numpy as np
 import pytest
 
-from stewart_drake import Controller, load_scenario, run
+from stewart_drake import ConfigurationError, inverse_kinematics, leg_geometry, load_scenario, run
 from stewart_drake.base.config import Positive
-from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.registry import ADAPTATIONS
 from stewart_drake.control.base import AdaptationOptions
 from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.loop.part import Part
-from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry
+from stewart_drake.mechanics.kinematics import crank_rates
 
 
 class FrictionLearner(AdaptationOptions):
@@ -62,15 +61,6 @@ def test_what_is_learnt_takes_the_place_of_what_was_believed(scenario):
     told = run(scenario.replace({"model.friction.coulomb": 0.05}))
     assert late_error(learns) < 0.5 * late_error(unaware)
     assert late_error(learns) < 2.0 * late_error(told)
-
-
-def test_it_learns_the_same_beside_a_machine(scenario):
-    scenario = scenario.replace({"adaptation": "friction_learner", "duration": 0.3})
-    log = run(scenario)
-    beside, out = Controller(scenario.control()), np.empty(6)
-    for tick in range(100):
-        beside.step(np.concatenate([log["pose"][tick], log["pose_rate"][tick]]), log.time[tick], out)
-        np.testing.assert_array_equal(out, log["torque"][tick])
 
 
 def test_an_output_that_no_parameter_is_for_is_refused(scenario):

@@ -14,10 +14,7 @@ from stewart_drake import Controller, RobotParameters, Scenario, load_controller
 from stewart_drake.base.atomic_files import read_checked
 from stewart_drake.base.errors import ConfigurationError, RunFailure, SafetyStop
 from stewart_drake.control import network
-from stewart_drake.control.friction_compensation import standing_torque
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
-from stewart_drake.plant.closed_form import ClosedForm
-from stewart_drake.plant.plant_options import ANGLES, POSE
 from stewart_drake.scenario.assembly import loop_of
 from stewart_drake.scenario.control_options import ControlOptions
 
@@ -30,6 +27,10 @@ OBSERVED = {
     "command_delay": 1,
 }
 POLICY = {**OBSERVED, "tuner": "policy"}
+PERIODS = {
+    **{"controller.period": 0.004, "command_delay": 1, "tuner.period": 0.02, "estimator.period": 0.001},
+    "log_period": 0.001,
+}
 
 
 def short(name, changes=(), duration=0.1):
@@ -63,6 +64,8 @@ CASES = {
     "encoders": ("exact_breathing", {**ENCODERS, "tuner": "block", "sensors.noise": 2e-5}),
     "observer, friction": ("exact_breathing", {**OBSERVED, "tuner": "block"}),
     "policy": ("exact_breathing", POLICY),
+    "learning": ("exact_breathing", {**OBSERVED, "tuner": "block", "adaptation": "regression", "duration": 0.3}),
+    "periods": ("exact_breathing", {**PERIODS, "duration": 0.3}),
     "the paper's network": ("paper_fig7", {"controller.solver": "split", "duration": 0.3}),
 }
 
@@ -70,13 +73,12 @@ CASES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["closed_form", "drake"])
 @pytest.mark.parametrize(("name", "changes"), CASES.values(), ids=CASES.keys())
-def test_fed_with_what_a_run_read_its_file_says_what_the_run_logged(name, changes, kind, tmp_path):
+def test_a_controller_fed_with_the_readings_of_a_run_gives_what_the_run_logged(name, changes, kind, tmp_path):
     log = run(short(name, {**changes, "plant.kind": kind}))
     assert log.status == "completed"
     names = [each for each in ("torque", "error", "integral", "innovation") if each in log.signals]
     (tmp_path / "carried.yaml").write_text(log.scenario.control().to_yaml())
     said = replayed(Controller(load_controller(tmp_path / "carried.yaml")), log, names)
-    # The fast engine calls the same laws on the same numbers. Drake's angles are sums of other terms, a bit apart.
     bound = {"rtol": 0.0, "atol": 0.0} if kind == "closed_form" else {"rtol": 1e-7, "atol": 1e-8}
     for signal in names:
         np.testing.assert_allclose(said[signal], log[signal], **bound, err_msg=signal)
@@ -171,28 +173,6 @@ def test_a_tuners_file_is_read_once_a_loop(name, monkeypatch):
     assert len(paths) == 1
 
 
-def test_a_function_is_a_controller():
-    controller, out = Controller(Scenario(controller=lambda *_: np.arange(6.0))), np.empty(6)
-    controller.step(np.zeros(12), 0.0, out)
-    np.testing.assert_array_equal(out, np.arange(6.0))
-
-
-@pytest.fixture(scope="module")
-def by_torque():
-    """A controller that asks for 8 N m of motors that give 5, with and without safety layer."""
-    scenario = Scenario(controller=lambda *_: np.full(6, 8.0), robot={"effort_limit": 5.0})
-    return {"alone": Controller(scenario), "safety": Controller(scenario.replace(safety={"torque_rate": None}))}
-
-
-@pytest.mark.parametrize("name", ["alone", "safety"])
-def test_it_gives_no_more_than_the_motors_can(by_torque, name):
-    controller, out = by_torque[name], np.empty(6)
-    controller.reset()
-    home = np.concatenate([RobotParameters().home_pose, np.zeros(6)])
-    controller.step(home, 0.0, out)
-    np.testing.assert_array_equal(out, 5.0)
-
-
 def test_a_torque_that_is_no_number_never_comes_out():
     controller = Controller(
         load_scenario("exact_fig7", ("controller=lqi", "tuner=fixed", "controller.feedforward=none"))
@@ -234,9 +214,8 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("key", "given"), REFUSED.values(), ids=REFUSED.keys())
-def test_what_is_not_as_said_is_refused_and_changes_nothing(by_torque, key, given):
-    controller = by_torque["alone"]
-    controller.reset()
+def test_bad_arguments_are_refused_and_change_nothing(key, given):
+    controller = Controller(Scenario(controller=lambda *_: np.full(6, 8.0), robot={"effort_limit": 5.0}))
     usual = {"readings": np.concatenate([HOME, np.zeros(6)]), "time": 0.001, "out": np.full(6, 1.5)}
     controller.step(usual["readings"], 0.0, np.empty(6))
     before = controller._running.values.copy()
@@ -246,6 +225,7 @@ def test_what_is_not_as_said_is_refused_and_changes_nothing(by_torque, key, give
     assert "\n" not in str(caught.value)
     np.testing.assert_array_equal(controller._running.values, before)
     controller.step(**usual)
+    np.testing.assert_array_equal(usual["out"], 5.0)  # The limit of the motors.
 
 
 class Odd:
@@ -285,10 +265,7 @@ def test_readings_that_are_too_old_reach_the_deadline():
 
 KINDS = [
     {"kind": kind, "saturation": saturation, "period": 0.001}
-    for kind, ways in {
-        "lqi": ("none", "clamp", "back_calculation"),
-        "computed_torque": ("none", "clamp"),
-    }.items()
+    for kind, ways in {"lqi": ("none", "clamp", "back_calculation"), "computed_torque": ("none", "clamp")}.items()
     for saturation in ways
 ] + [{"kind": "pid", "period": 0.001}]
 
@@ -317,68 +294,3 @@ def test_whatever_it_reads_and_whenever_no_kind_gives_more_than_the_limit(contro
 def the_controller(controller, safety):
     keys = {"controller": json.loads(controller), "safety": json.loads(safety), "robot.effort_limit": 0.6}
     return Controller(short("exact_fig7", {**keys, "duration": 1.0}))
-
-
-class Machine:
-    """The closed chain as a machine with a clock of its own: steps of 0.1 ms, noisy encoders, commands under way."""
-
-    STEP = 1e-4
-
-    def __init__(self, scenario, noise, delay, seed=0):
-        options = scenario.replace({"plant.time_step": self.STEP, "log_period": 0.001}).plant
-        self.plant, self.rng = ClosedForm(scenario.robot, options, scenario.gravity), np.random.default_rng(seed)
-        self.measured, self.noise, self.delay = self.plant.initial(*scenario.start()), noise, round(delay / self.STEP)
-        self.torque = standing_torque(scenario.robot, scenario.start()[0], scenario.gravity)
-        self.steps, self.under_way = 0, []
-
-    def advance(self, until):
-        while self.steps < round(until / self.STEP):
-            while self.under_way and self.under_way[0][0] <= self.steps:
-                self.torque = self.under_way.pop(0)[1]
-            self.measured = self.plant.step(self.torque, np.zeros(6))
-            self.steps += 1
-
-    def read(self):
-        return self.measured[ANGLES] + self.noise * self.rng.normal(size=6)
-
-    def command(self, torque):
-        self.under_way.append((self.steps + self.delay, torque.copy()))
-
-
-def error_on_a_machine(noise=2e-5, delay=0.001, late=0.0, lost=0.0, duration=1.0):
-    """RMS error [mm] where the controller believes in noise of 2e-5 rad, a delay of 1 ms and a tick a millisecond.
-
-    `late` [s]: by up to how much ticks are late; `lost`: share of readings of an encoder that never come.
-    """
-    scenario = short(
-        "exact_breathing", {**OBSERVED, "sensors.noise": 2e-5, "tuner": "block", "plant.motor_friction": 0}
-    )
-    controller, machine, rng = Controller(scenario), Machine(scenario, noise, delay), np.random.default_rng(1)
-    torque, errors = np.empty(6), []
-    for tick in range(round(duration / controller.period)):
-        time = tick * controller.period + late * rng.random()
-        machine.advance(time)
-        reading = machine.read()
-        reading[(rng.random(6) < lost) & (tick > 0)] = np.nan
-        controller.step(reading, time, torque)
-        machine.command(torque)
-        wanted = scenario.reference.evaluate(machine.steps * machine.STEP)[0]
-        errors.append(machine.measured[POSE][3:] - wanted[3:])
-    return 1e3 * np.sqrt(np.mean(np.sum(np.square(errors[len(errors) // 2 :]), axis=1)))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("wrong", "most"),
-    [
-        ({"noise": 0.0}, 0.02),
-        ({"noise": 2e-4}, 0.04),
-        ({"delay": 0.0}, 0.02),
-        ({"delay": 0.003}, 0.02),
-        ({"late": 0.0009}, 0.02),
-        ({"lost": 0.2}, 0.02),
-    ],
-    ids=str,
-)
-def test_it_bears_a_machine_with_other_noise_delay_and_clock(wrong, most):
-    assert error_on_a_machine(**wrong) < most

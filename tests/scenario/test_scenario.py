@@ -47,9 +47,6 @@ def write(folder, text, name="some.yaml"):
     return path
 
 
-# --- what is accepted ---------------------------------------------------------------------------------------------
-
-
 def test_the_defaults_are_the_papers_run():
     scenario = Scenario()
     pose, _, _ = scenario.reference.evaluate(np.array([0.3]))
@@ -76,8 +73,6 @@ def test_what_is_not_believed_otherwise_is_the_simulated_machines():
     assert other.control().controller_model == other.controller_model
     assert not {"robot", "gravity", "plant", "sensors", "command_delay"} & set(other.control().to_dict())
 
-
-# --- what is refused ----------------------------------------------------------------------------------------------
 
 # That every section refuses what means nothing in it under its own key is in test_config.py.
 WRONG = [
@@ -118,12 +113,6 @@ def test_every_problem_has_a_line_and_unknown_keys_come_first():
     assert sorted(named[1:]) == ["duration", "gravity", "tuner.kind"]
 
 
-# --- files --------------------------------------------------------------------------------------------------------
-
-
-# --- overrides ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("text", "key", "value"),
     [
@@ -158,11 +147,7 @@ def test_an_override_sets_one_key(text, key, value):
         ("reference.center[6]=3", "reference.center[6]", "center has components from 0 to 5"),
         ("initial_offset=3", "initial_offset", "a list of 6 numbers [rad, m]"),
         (".=3", ".", "a key such as"),
-        (
-            "tuner.kappa=2",
-            "tuner.kappa",
-            "no such key, got 2; kind policy has it. The keys here are kind, period",
-        ),
+        ("tuner.kappa=2", "tuner.kappa", "no such key, got 2; kind policy has it. The keys here are kind, period"),
         ("duration=-1", "duration", "a positive number [s]"),
         ("duration=3 kg", "duration", "a number [s], or one with s, ms, us, min behind it, got '3 kg'"),
         (
@@ -179,9 +164,6 @@ def test_a_bad_override_is_named(text, key, words):
         load_scenario("paper_fig7", [text])
     assert one_line(caught.value).key == key
     assert words in str(caught.value)
-
-
-# --- round trip and schema ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -213,7 +195,7 @@ def test_another_kind_drops_the_keys_of_the_old_one_and_keeps_those_that_both_ha
     assert Scenario.from_dict({"controller": {"period": 0.002}}).controller == LqiOptions(period=0.002)
 
 
-def test_names_that_nothing_has_are_told_what_was_meant():
+def test_unknown_names_have_a_suggestion():
     for load, name, meant in (
         (load_scenario, "paper_fig", "paper_fig7"),
         (load_robot, "reachi_mini", "reachy_mini"),

@@ -72,7 +72,7 @@ def test_on_the_same_plant_it_is_the_loop_of_build_diagram_to_the_bit(keys):
 def test_two_loops_in_a_plant_with_a_ball_and_a_push_of_the_user():
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, 0.001)
-    aside = RigidTransform([1.0, 0.0, 0.0])
+    aside = RigidTransform([1.0, 0.5, 0.2])
     options = DrakeOptions.from_dict(STICKING | {"collision": True})
     robots = [add_robot(plant, ROBOT, options), add_robot(plant, ROBOT, options, model_instance="second", base=aside)]
     ball = plant.AddRigidBody("ball", plant.AddModelInstance("ball"), SpatialInertia.SolidSphereWithMass(0.02, 0.01))
@@ -101,6 +101,12 @@ def test_two_loops_in_a_plant_with_a_ball_and_a_push_of_the_user():
     assert np.abs(other[4]) < 1e-5 < 1e-4 < min(pushed[3], other[3])
     assert plant.EvalBodyPoseInWorld(mine, ball).translation()[2] == pytest.approx(pushed[5] + 0.014, abs=1e-3)
     assert second.systems["motors"].get_name() == "second_motors"
+    assert max(robot.loop_gap(state).max() for robot in robots) < 1e-5
+    # Poses are in the frame of the robot's base.
+    world = plant.EvalBodyPoseInWorld(mine, plant.GetBodyByName("platform", robots[1].instance)).translation()
+    np.testing.assert_allclose(world, other[3:] + [1.0, 0.5, 0.2], atol=1e-9)
+    force = robots[1].push(np.array([0.0, 0.0, 0.0, 1.0, 2.0, 3.0])).F_Bq_W
+    np.testing.assert_allclose(force.translational(), [1.0, 2.0, 3.0])
 
 
 def test_a_robot_knows_the_decimal_step_of_a_plant_on_the_grid():
@@ -114,9 +120,6 @@ def test_a_robot_knows_the_decimal_step_of_a_plant_on_the_grid():
         else:
             with pytest.raises(ConfigurationError, match=r"whole multiple of the plant's time step 0\.0007 s"):
                 add_loop(builder, PLAIN, robot)
-
-
-# --- bad input -------------------------------------------------------------------------------------------------------
 
 
 def built(**names):
@@ -210,6 +213,10 @@ CONFIGURATION = (
     ("finalised too early", lambda: added(finalised()), "plant: expected one before Finalize"),
     ("not finalised", lambda: TaskSpaceSensor(added()), "plant: expected one that is finalised, .*; call plant.Final"),
     ("nor for a loop", lambda: add_loop(DiagramBuilder(), PLAIN, added()), "plant: expected one that is finalised"),
+    ("a continuous one", lambda: added(MultibodyPlant(0.0)), "plant: expected a discrete one"),
+    ("a port too early", lambda: added().torque_input_port, "plant: expected one that is finalised"),
+    ("indices too early", lambda: added().indices, "plant: expected one that is finalised"),
+    ("a pose too early", lambda: added().assemble(ROBOT.home_pose), "plant: expected one that is finalised"),
     ("two of one name", twice, "model_instance: expected a name that .* got 'stewart'"),
     ("another robot", lambda: around(LONGER), "scenario.robot: expected the robot of the plant, got 'another crank_le"),
     ("a step beyond the tick", lambda: around(time_step=0.01), "controller.period: .* multiple of the plant's time st"),

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
-from pydrake.multibody.tree import SpatialInertia, default_model_instance
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource
@@ -142,40 +142,6 @@ def test_a_context_whose_time_is_set_back_and_a_clone_begin_anew():
     assert len(watched.calls) == 10
 
 
-def test_a_robot_beside_other_bodies_and_another_robot():
-    builder = DiagramBuilder()
-    plant, _ = AddMultibodyPlantSceneGraph(builder, 0.001)
-    aside = RigidTransform([1.0, 0.5, 0.2])
-    robots = [add_robot(plant, ROBOT), add_robot(plant, ROBOT, model_instance="second", base=aside)]
-    ball = plant.AddRigidBody("ball", default_model_instance(), SpatialInertia.SolidSphereWithMass(0.1, 0.02))
-    plant.Finalize()
-    sensor = builder.AddSystem(TaskSpaceSensor(robots[0]))
-    builder.Connect(robots[0].state_output_port, sensor.plant_state)
-    watched = Watched(builder, sensor.measurement)
-    for robot in robots:
-        builder.Connect(watched.system.torque, robot.torque_input_port)
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    context = simulator.get_mutable_context()
-    mine = plant.GetMyMutableContextFromRoot(context)
-    plant.SetFreeBodyPose(mine, ball, RigidTransform([0.0, 0.0, 3.0]))
-    for robot in robots:
-        robot.set_state(context, *START)
-    # The same torques move both alike, each in its own frame, and nobody touched the ball.
-    simulator.AdvanceTo(0.05)
-    state = plant.GetPositionsAndVelocities(mine)
-    poses = [robot.pose_and_rate(state)[0] for robot in robots]
-    np.testing.assert_allclose(poses[1], poses[0], atol=1e-9)
-    assert np.abs(poses[0] - START[0]).max() > 1e-4
-    assert max(robot.loop_gap(state).max() for robot in robots) < 1e-5
-    fallen = plant.EvalBodyPoseInWorld(mine, ball).translation()
-    np.testing.assert_allclose(fallen, [0.0, 0.0, 3.0 - 0.5 * 9.81 * 0.05**2], atol=3e-4)
-    world = plant.EvalBodyPoseInWorld(mine, plant.GetBodyByName("platform", robots[1].instance)).translation()
-    np.testing.assert_allclose(world, poses[1][3:] + [1.0, 0.5, 0.2], atol=1e-9)
-    push = robots[1].push(np.array([0.0, 0.0, 0.0, 1.0, 2.0, 3.0]))
-    np.testing.assert_allclose(push.F_Bq_W.translational(), [1.0, 2.0, 3.0])
-
-
 def test_a_plant_is_opened_before_it_is_finished():
     def load(robot):
         body = robot.plant.AddRigidBody("load", robot.instance, SpatialInertia.SolidSphereWithMass(0.3, 0.02))
@@ -187,18 +153,3 @@ def test_a_plant_is_opened_before_it_is_finished():
     with pytest.raises(ConfigurationError, match=r"^name: expected one that no other system .* got 'plant'"):
         add_plant(builder, ROBOT)
     add_plant(builder, ROBOT, name="other")
-
-
-def test_what_cannot_be_is_one_line():
-    plant = MultibodyPlant(0.001)
-    robot = add_robot(plant, ROBOT)
-    for ask in (lambda: robot.torque_input_port, lambda: robot.indices, lambda: robot.assemble(ROBOT.home_pose)):
-        with pytest.raises(ConfigurationError, match=r"^plant: expected one that is finalised"):
-            ask()
-    with pytest.raises(ConfigurationError, match=r"^model_instance: expected a name that the plant does not have"):
-        add_robot(plant, ROBOT)
-    plant.Finalize()
-    with pytest.raises(ConfigurationError, match=r"^plant: expected one before Finalize"):
-        add_robot(plant, ROBOT, model_instance="late")
-    with pytest.raises(ConfigurationError, match=r"^plant: expected a discrete one"):
-        add_robot(MultibodyPlant(0.0), ROBOT)

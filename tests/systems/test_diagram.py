@@ -1,21 +1,10 @@
-import ast
-import io
-import re
-from contextlib import redirect_stdout
-
 import numpy as np
 import pytest
-from conftest import ROOT, make_network
 from pydrake.systems.analysis import Simulator
 
-from stewart_drake import HoldReference
-from stewart_drake.base.errors import ConfigurationError, DrakeCheckError, NotFiniteError
-from stewart_drake.control.network import load_network
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import Scenario
-from stewart_drake.systems.diagram import build_diagram
+from stewart_drake import ConfigurationError, HoldReference, Scenario, build_diagram, run
+from stewart_drake.base.errors import DrakeCheckError, NotFiniteError
 
-DIAGRAMS = ROOT / "diagrams"
 PORTS = {
     **{"measurement": 12, "reference": 18, "torque": 6, "torque_applied": 6, "error": 6, "integral": 6, "weights": 2},
     "density": 12,
@@ -49,7 +38,7 @@ STICKING = {"friction": {"coulomb": 0.02, "break_away": 0.03}}
 
 
 @pytest.mark.parametrize(
-    "plant", [{}, STICKING, {"broken_rod": {"leg": 3, "time": 0.0305}}, {"broken_rod": {"leg": 3, "time": 0.0}}]
+    "plant", [{}, STICKING, *({"broken_rod": {"leg": 3, "time": time}} for time in (0.0305, 0.0, 1e308))]
 )
 def test_a_plain_simulator_does_what_a_run_does(plant):
     changes = {"initial_offset": [0.02, 0, 0, 0, 0, 0], "log_period": 0.001, "controller": {"solver": "split"}}
@@ -59,10 +48,10 @@ def test_a_plain_simulator_does_what_a_run_does(plant):
     np.testing.assert_array_equal(got["plant_state"][: len(log.time)], log["plant_state"])
     gap = loop.plant.loop_gap(got["plant_state"])
     broken = gap[:, 3] > 1e-6
-    after = round(1e3 * plant["broken_rod"]["time"]) if "broken_rod" in plant else 60
-    assert not broken[: after + 1].any()
-    assert broken[-1] == ("broken_rod" in plant)
-    # A rod is whole again where time was set back.
+    time = plant.get("broken_rod", {"time": np.inf})["time"]
+    assert not broken[: round(1e3 * min(time, 0.06)) + 1].any()
+    assert broken[-1] == (time < 0.06)
+    assert np.delete(gap, 3, axis=1).max() < 1e-4
     simulator = Simulator(loop)
     simulator.AdvanceTo(0.05)
     simulator.get_mutable_context().SetTimeStateAndParametersFrom(loop.CreateDefaultContext())
@@ -148,44 +137,3 @@ def test_tracking_errors_are_those_of_the_independent_study_in_the_notes():
     rms = np.sqrt(np.mean(run(case)["error"] ** 2, axis=0))
     assert np.degrees(rms[0]) == pytest.approx(0.166, rel=0.01)
     assert 1e3 * rms[5] == pytest.approx(3.54, rel=0.01)
-
-
-def printed(name, **names):
-    # What the script prints, run as it stands in this process, but for some of its constants and imports.
-    *head, guard = ast.parse((DIAGRAMS / f"{name}.py").read_text()).body
-    script = {"__name__": "__main__"}
-    exec(compile(ast.Module(head, []), name, "exec"), script)
-    assert set(names) <= set(script)
-    script.update(names)
-    with redirect_stdout(io.StringIO()) as stream:
-        exec(compile(ast.Module([guard], []), name, "exec"), script)
-    return [[float(x) for x in re.findall(r"-?\d+\.\d*(?:e[-+]\d+)?", row)] for row in stream.getvalue().splitlines()]
-
-
-@pytest.mark.slow
-def test_loops_wired_by_hand_are_the_loops_of_scenarios(tmp_path):
-    path = tmp_path / "net.json"
-    make_network().save(path)
-    fixed = {"controller": {"feedforward": "platform"}, "tuner": {"kind": "fixed", "omega_q": 10.0, "omega_r": 0.1}}
-    tuned = {"controller": {"feedforward": "gravity"}, "tuner": {"kind": "paper", "weights_file": str(path)}}
-    by_hand = (
-        printed("fixed_weight_lqi", DURATION=0.5),
-        printed("ann_tuned_lqi", DURATION=0.5, load_network=lambda: load_network(path)),
-    )
-    for keys, found in zip((fixed, tuned), by_hand, strict=True):
-        log = run(Scenario.from_dict({"duration": 0.5, **keys}))
-        rms = np.sqrt(np.mean(log["error"][log.time >= 0.2499] ** 2, axis=0))
-        expected = [*np.degrees(rms[:3]), *(1e3 * rms[3:])]
-        # Printed to four places.
-        np.testing.assert_allclose(found[0], expected, atol=6e-5 + 1e-3 * np.max(expected))
-    weights = log["weights"]
-    limits = [weights[:, 0].min(), weights[:, 0].max(), weights[:, 1].min(), weights[:, 1].max()]
-    np.testing.assert_allclose(by_hand[1][1], limits, atol=6e-4)
-
-
-def test_the_open_loop_falls_and_stays_closed():
-    *rows, gap = printed("open_loop")
-    assert len(rows) == 16
-    assert rows[0][-1] == pytest.approx(310.0)
-    assert rows[-1][-1] < rows[0][-1] - 5.0
-    assert gap[0] < 1e-4

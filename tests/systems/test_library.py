@@ -12,16 +12,11 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from strategies import ROBOT
 
-from stewart_drake import systems
-from stewart_drake.base.errors import ConfigurationError, RiccatiError
+from stewart_drake import ConfigurationError, LqiOptions, Scenario, build_plant, paper_reference, systems
+from stewart_drake.base.errors import RiccatiError
 from stewart_drake.base.records import Record, Vec2
 from stewart_drake.base.sampling import on_grid
-from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.loop.part import Part
-from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.plant.multibody_plant import build_plant
-from stewart_drake.references import paper_reference
-from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.systems import PartSystem
 from stewart_drake.systems.library import PlatformWrench
 
@@ -110,16 +105,6 @@ def test_every_field_of_a_record_can_be_a_port():
         system.field("speed")
 
 
-def test_an_observer_wired_by_hand_knows_where_the_platform_is():
-    system = systems.PlatformObserver(Scenario(sensors="encoders", estimator="observer"))
-    context = system.CreateDefaultContext()
-    home = ROBOT.home_pose
-    system.reading.FixValue(context, inverse_kinematics(ROBOT, home))
-    system.net_torque.FixValue(context, np.zeros(6))
-    system.reference.FixValue(context, [*home, *np.zeros(12)])
-    np.testing.assert_allclose(system.measurement.Eval(context)[:6], home, atol=1e-4)
-
-
 class Sampler(Record):
     value: Annotated[np.ndarray, (1,)]
     rest: Vec2
@@ -172,7 +157,6 @@ def test_outputs_answer_within_the_tick_and_are_held_to_the_next(stop):
     context = simulator.get_context()
     assert read(system.value, context) == [0.5 * count]
     assert read(system.rest, context) == [count + 1, sum(0.5 * k for k in range(count + 1))]
-    # The same as one port.
     assert read(system.result, context) == [0.5 * count, *read(system.rest, context), 0.0]
 
 

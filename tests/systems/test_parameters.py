@@ -11,8 +11,7 @@ from pydrake.systems.analysis import MonteCarloSimulation, Simulator
 from pydrake.systems.primitives import Linearize
 from strategies import ROBOT
 
-from stewart_drake import ClosedFormPlant, LqiOptions, Scenario, build_diagram, build_plant, run
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ClosedFormPlant, ConfigurationError, LqiOptions, Scenario, build_diagram, build_plant, run
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.studies.sweep import make_simulator, make_sweep
@@ -35,7 +34,7 @@ def torque_at_home(controller, context):
     return controller.torque.Eval(context)
 
 
-def test_what_a_context_says_of_the_robot_holds_in_it_and_in_its_clones_alone():
+def test_a_robot_in_a_context_applies_to_it_and_its_clones_alone():
     controller = LqiController(ROBOT, LQI, 9.81)
     context, other = controller.CreateDefaultContext(), controller.CreateDefaultContext()
     light = torque_at_home(controller, context)

@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
+from stewart_drake import Scenario, load_scenario, run
 from stewart_drake.base.yaml_files import shipped_folder
-from stewart_drake.runs.simulation import run
-from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 BASE = {
     "duration": 0.12,
@@ -47,7 +46,6 @@ def test_cranks_that_all_stick_read_like_frozen_sensors_and_the_message_names_bo
     assert "a sensor repeats itself, or no crank moves at all" in log.message
 
 
-# That one falls over on purpose.
 NOMINAL = sorted({path.stem for path in shipped_folder("scenarios").glob("*.yaml")} - {"paper_fig7_uncompensated"})
 
 

@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 
-from stewart_drake.analysis.feasibility import check_reference
+from stewart_drake import check_reference, run, run_metrics
 from stewart_drake.control.features import CostScales
-from stewart_drake.logs.metrics import run_cost, run_metrics
-from stewart_drake.runs.simulation import run
+from stewart_drake.logs.metrics import run_cost
 from stewart_drake.studies.experiment import run_experiment
 from stewart_drake.studies.workers import Workers
 from stewart_drake.training.benchmark import (
@@ -49,7 +48,7 @@ def test_ratios_are_to_the_best_fixed_setting_in_the_same_run():
 
 
 @pytest.mark.slow
-def test_a_small_evaluation_is_written_taken_up_again_and_says_what_a_run_costs(tmp_path, monkeypatch):
+def test_a_small_evaluation_is_written_continued_and_has_the_cost_of_a_run(tmp_path, monkeypatch):
     few = {"paper": ["hold"], "reachy_mini": ["nod"]}
     monkeypatch.setattr("stewart_drake.training.benchmark.kinds_of", lambda robot, _: few.get(robot, []))
     candidates = {BEST_FIXED: with_setting([0.0] * 4), "quiet": with_setting([0.0, 0.0, 0.0, -1.0])}
@@ -60,7 +59,6 @@ def test_a_small_evaluation_is_written_taken_up_again_and_says_what_a_run_costs(
     assert {row["seed"] for row in rows} == {HELD_OUT[0]}
     assert {"status", "cost", "ratio", "rmse_norm_mm", "torque_change_rms"} <= set(table.column_names)
     assert {path.name for path in tmp_path.glob("verdict.*")} == {"verdict.parquet", "verdict.csv", "verdict.md"}
-    # A robot that rests wants to be quiet.
     assert estimate(ratios(rows, "quiet", lambda cell: cell[0] == "hold")).value < 0.8
     case = [plan.trials[1].labels[name] for name in ("kind", "robot", "seed")]
     log = run(situation(*case).replace({"plant.kind": "closed_form"}))

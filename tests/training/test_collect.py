@@ -2,11 +2,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from stewart_drake.base.errors import ConfigurationError, RunFailure
+from stewart_drake import ConfigurationError, Scenario, SimulationLog
+from stewart_drake.base.errors import RunFailure
 from stewart_drake.base.tables import to_parquet, with_about
-from stewart_drake.logs.log import SimulationLog
 from stewart_drake.references import SineBurstsReference
-from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.training import paper_network
 from stewart_drake.training.paper_network import (
     BURST,

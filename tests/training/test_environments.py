@@ -11,7 +11,7 @@ from stewart_drake.training.environments import TrackEnvironment, TuneEnvironmen
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["Track", "Tune"])
-def test_gymnasium_finds_it_and_has_nothing_to_say_against_it(name):
+def test_gymnasium_finds_and_accepts_it(name):
     check_env(gymnasium.make(f"stewart_drake/{name}-v0").unwrapped, skip_render_check=True)
 
 

@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake import ConfigurationError, run, run_metrics
 from stewart_drake.base.records import record
 from stewart_drake.control.features import CostScales
 from stewart_drake.control.policy import Policy, policy_setting
 from stewart_drake.control.tuners import PolicyTuner
-from stewart_drake.logs.metrics import run_cost, run_metrics
-from stewart_drake.runs.simulation import run
+from stewart_drake.logs.metrics import run_cost
 from stewart_drake.studies.workers import Workers
 from stewart_drake.training import policy_training
 from stewart_drake.training.benchmark import HIGHEST, LOWEST
