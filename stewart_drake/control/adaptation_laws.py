@@ -183,6 +183,7 @@ def _close_block(robot: Robot, joints: Joints, params: RegressionParams, legs: L
                 state.angles[NEWEST, i] = angles[i]
                 state.commands[NEWEST, i] = state.sum_command[i] / params.stride
     missing = state.bad == 1.0 or state.good[NEWEST - 1] < 0.0
+    # See `RegressionState.good` for these three values.
     state.good[NEWEST] = 1.0 if good else -1.0 if missing else 0.0
     _append_unsmoothed(robot, joints, params, legs, state)
     for i in range(6):

@@ -55,7 +55,8 @@ _NEWTON_STEPS = 40
 _STEP = 1e-5  # [m, rad] of finite differences
 _FRAME_STEPS = np.eye(SIZE)[OF_ROBOT:]
 _LEG_STEPS = np.hstack([np.tile(np.eye(PER_LEG), LEG_COUNT), np.zeros((PER_LEG, 12))])
-"""Steps of all legs at once: the closure of a leg depends on its numbers alone."""
+"""Finite-difference steps that change a parameter of all legs at once: the closure of a leg depends on its own
+parameters only."""
 
 
 def by_leg(values: np.ndarray, display: bool = False) -> np.ndarray:
