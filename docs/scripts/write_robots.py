@@ -40,11 +40,13 @@ Command: `python docs/scripts/write_robots.py`.
 
 {table}
 
-- *Workspaces* around home, within the limits of a scenario that gives none: positions without turning, orientations
-  without moving, {samples:,} poses each. *Free in all directions*: the largest ball of positions and of Euler angles.
-- *Conditioning*: smallest over largest singular value of the rods' lines, at home and at the worst of these positions.
-- *Error*: `{scenario}`, {duration} s of roll 6 deg, pitch 3 deg and heave 4 mm at 3 rad/s by the exact-model LQI at
-  1 kHz, encoders of 17 bits, weights sized by the robot; RMSE of the second half.
+- *Workspaces* around home, within the default limits of a scenario: positions with the orientation of home, and
+  orientations at the position of home; {samples:,} poses for both. *Free in all directions*: radius of the largest ball
+  around home, for positions and for Euler angles.
+- *Conditioning*: smallest singular value of the matrix of the six rods' lines over the largest one, at home and at the
+  worst of these positions.
+- *Error*: RMSE over the second half of the scenario `{scenario}`: {duration} s of roll 6 deg, pitch 3 deg and heave
+  4 mm at 3 rad/s, with the exact-model LQI at 1 kHz, encoders of 17 bits, and weights scaled to the robot.
 """
 
 

@@ -35,8 +35,8 @@ against settings that stay fixed? Command: `make results/tuner`.
 
 ## By kind
 
-J of the policy over that of *best fixed*. The last column compares with the fixed setting that is best in this kind,
-the oracle left out, for the same robots in the same order.
+J of the policy over that of *best fixed*, by robot. The last column has J of the policy over that of the fixed setting
+that is best for this kind, without the oracle; one number for every robot of the row, in the same order.
 
 {by_kind}
 
@@ -44,8 +44,8 @@ the oracle left out, for the same robots in the same order.
 
 - The policy helps most where the best setting changes during a run: at rest, under pushes, near the motors' limits.
 - It is not better everywhere: in {above} pairs the last column is above 1.05.
-- Under blows to the paper's robot it reacts as late as a loop that becomes stiff 100 ms after the blow: the innovation
-  is a mean over 10 ms, and a setting changes by at most 3 % of its range in a tick.
+- Under blows to the paper's robot the policy reacts late, like a loop that becomes stiff 100 ms after the blow: the
+  innovation is a mean over 10 ms, and a setting changes by at most 3 % of its range in a tick.
 
 ## On Drake's plant
 
@@ -56,13 +56,15 @@ rest {hold}: motors with dry friction stay {rest:.2g} deg off (median) whatever 
 
 ## The key kappa, stability, training
 
-- `tuner.kappa` goes from stiff to quiet: from an error of 0.0060 mm with torque changes of 0.0096 N m at -1 to
-  0.0081 mm with 0.0034 N m at 1, and costs 0.63 to 0.73 of the best of 32 fixed settings (paper's robot, at 11e7483a).
-- With 41 settings of the policy's range, frozen, at 1000 poses, all loops are stable: the paper's robot with 0 to 4
-  ticks of delay, Reachy Mini with one (at 0765a7dd). The least disk margin is 0.178 and 0.057; see
+- `tuner.kappa` goes from stiff, -1, to quiet, 1. At -1 the error is 0.0060 mm with torque changes of 0.0096 N m, at 1
+  it is 0.0081 mm with 0.0034 N m. The cost is 0.63 to 0.73 of that of the best of 32 fixed settings (paper's robot,
+  measured at commit 11e7483a).
+- All loops are stable at 1000 poses with 41 constant settings from the policy's range: the paper's robot with 0 to 4
+  ticks of delay, Reachy Mini with one (measured at commit 0765a7dd). The smallest disk margins are 0.178 and 0.057; see
   [margins](margins.md).
-- A newer training with a wider range cost 0.62 of *best fixed* where the shipped policy cost 0.65 (at da6aa01c), but
-  more for the paper's robot and in kinds never trained on. So the older policy stays.
+- A newer training with a wider range cost 0.62 of *best fixed* where the shipped policy cost 0.65 (measured at commit
+  da6aa01c). But it cost more for the paper's robot and in kinds that it was never trained on. So the older policy
+  stays.
 """
 COLUMNS = {
     "candidate": "tuner",

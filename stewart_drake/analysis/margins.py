@@ -16,9 +16,9 @@ from scipy.optimize import minimize
 
 from stewart_drake.analysis.linear_loop import LinearLoops
 
-_SLOWEST = 0.1  # Lowest frequency of the grid over that of the slowest closed-loop pole; the highest is Nyquist's.
+_SLOWEST = 0.1  # Lowest frequency of the grid over the slowest closed-loop pole; the highest is the Nyquist frequency.
 _SWEEPS = 5
-_POWER = 32.0  # Of the singular values, in a smooth approximation of the largest.
+_POWER = 32.0  # Exponent p of the smooth approximation of the largest singular value by a p-norm.
 HEADER = ("", "one motor: least", "5 %", "median", "all at once: least", "5 %", "median")
 
 

@@ -317,7 +317,7 @@ def study_poses(
         surveys[kind] = survey(robot, limits, spanning_grid(robot, kind, center, samples), gravity)
         progress(0.4 * len(surveys))
     axes = np.concatenate([-np.eye(3), np.eye(3)])
-    # Of orientations first, as in a pose.
+    # Orientations first, as in a pose.
     ends = [boundary(robot, limits, kind, center, axes, gravity).radius.reshape(2, 3) for kind in reversed(KINDS)]
     along = spread_directions(directions)
     boundaries = {kind: boundary(robot, limits, kind, center, along, gravity) for kind in KINDS}

@@ -39,26 +39,30 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import Legs, robot_record
 from stewart_drake.robot import RobotParameters
 
-SIZE_HEAD, SIZE_DRIVE, SIZE_TORQUE, SIZE_MOTOR_DRIVE = 0.25, 0.35, 0.03, 0.06
-"""Initial standard deviations [-] of logarithms; torque: of motors that take torques; motor: between the motors."""
-SIZE_DAMPING, SIZE_SERVO_DAMPING, SIZE_COULOMB, MOTOR_SHARE, SIZE_DELAY = 0.25, 0.03, 0.1, 0.2, 0.012
-"""The same [s/rad] and [-] of the torque limit; share of that between the motors; [s] of a servo's delay."""
-SIZE_CENTER = 0.15
-"""[-] the same, of the head's centre of mass, over the robot's characteristic length."""
-SIZE_PUSH, PUSH_KEPT = 0.1, 2.0
-"""[-] the same, of a push sideways, over the head's weight; [s] of motion after which that counts 37 %."""
+# Initial standard deviations of the unknowns.
+SIZE_HEAD = 0.25  # [-] logarithm of the head's mass.
+SIZE_DRIVE, SIZE_TORQUE = 0.35, 0.03  # [-] logarithm of the drive, common to all motors; of motors that take torques.
+SIZE_MOTOR_DRIVE = 0.06  # [-] difference of a motor from that.
+SIZE_DAMPING, SIZE_SERVO_DAMPING = 0.25, 0.03  # [s/rad] damping over the torque limit; of servos.
+SIZE_COULOMB = 0.1  # [-] Coulomb friction over the torque limit.
+MOTOR_SHARE = 0.2  # Deviation of damping or friction between the motors, over the common one.
+SIZE_DELAY = 0.012  # [s] delay of a servo.
+SIZE_CENTER = 0.15  # [-] shift of the head's centre of mass over the robot's characteristic length.
+SIZE_PUSH = 0.1  # [-] sideways push over the head's weight.
+PUSH_KEPT = 2.0  # [s] of motion after which information on a push has decayed to 37 %.
 CORRELATION_TIME = 0.6
 """[s] for which errors of the model are correlated: the samples within it count as one."""
 FINEST = 0.008
 """[s] smallest standard deviation of the kernel; a finer one amplifies noise of the readings in the acceleration."""
 BLEND, BLEND_TORQUE = 0.5, 0.1
-"""[s] in which applied numbers approach new ones; the same where a motor's torque depends on them at once."""
+"""[s] time constants of the low pass from the estimate to the applied numbers: for servos, and for motors that take
+torques or currents."""
 WIDTH = 2.2
-"""[blocks] of the kernel's standard deviation, as near as whole ticks allow; the fewer, the later a sample."""
+"""[blocks] standard deviation of the kernel, as near as whole ticks allow."""
 LIMIT_TIME = 2.0
 """[s] of motion in which the limit for outliers widens by a factor of e, if all rows are rejected."""
 REPORT_PERIOD = 0.016
-"""[s] between two updates of the intervals, and two steps of forgetting: both together cost more than a sample."""
+"""[s] between two updates of the intervals, and between two steps of forgetting. They take longer than a sample."""
 _LEARNT_OF_MOTORS = ("stiffness", "ratios", "torque_constant", "damping", "delay")
 _HEAD = ("platform_mass", "platform_moment", "platform_tensor", "platform_inertia")
 

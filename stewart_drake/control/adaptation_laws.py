@@ -1,18 +1,21 @@
-"""Regression by which a robot learns its motors, its head and its ball joints while it moves, compiled.
+"""Recursive least squares for parameters of motors, head and ball joints while the robot moves, compiled.
 
-The command of a motor measures its torque: that of a motor which takes torques, and of a servo its stiffness times
-(command - angle). With Y the exact inverse dynamics of the motion that was read, for the head and for all else,
+No torque is measured. By the model of a motor, its command determines its torque: a motor that takes torques gives the
+command, a servo gives its stiffness times (command - angle). With the inverse dynamics Y of the measured motion,
+separately for the head and for all other bodies, motor i obeys
 
-    command_i(t - delay) = exp(drive + drive_i) (exp(head) Y_head_i + moment Y_moment_i + Y_other_i)
-                           + (damping + damping_i) rate_i + (coulomb + coulomb_i) tanh(rate_i / width)
-                           + viscous Y_viscous_i + dry Y_dry_i + push J^-1_i
+    torque_i(t - delay) = exp(drive + drive_i) (exp(head) Y_head_i + moment Y_moment_i + Y_other_i)
+                          + (damping + damping_i) rate_i + (coulomb + coulomb_i) tanh(rate_i / width)
+                          + viscous Y_viscous_i + dry Y_dry_i + push J^-1_i
 
-in torques of the motors' model. `moment`, the change of the head's first moment, is estimated where its centre of mass
-is learnt; `viscous` and `dry`, friction of the ball joints, where that is. `push` is the wrench of the motors against
-somebody who pushes sideways: without it the push would be taken for friction; no other part uses it. A vertical push
-cannot be told from a heavier head. Servos yield to a push, so for them it is left out. All terms pass one Gaussian
-kernel, and so do the terms that jump at a reversal: the sign of the rate and the torques of the ball joints.
-`square_root_filter` updates the estimate, `learnt_parameters` writes parameters of other parts.
+`moment` is the change of the head's first moment; it is estimated only if the centre of mass is learnt. `viscous` and
+`dry` are the friction of the ball joints; they are estimated only if that is learnt. `push` is the wrench that the
+motors apply against a person who pushes sideways. Without it, the push would be estimated as friction; no other part
+uses it. A vertical push cannot be told from a heavier head. Servos yield to a push, so it is left out for them.
+
+Both sides are smoothed by the same Gaussian kernel. The sign of the rate and the torques of the ball joints jump when a
+crank reverses: they are computed from smoothed motion, and then smoothed too. `square_root_filter` updates the
+estimate, `learnt_parameters` writes parameters of other parts.
 """
 
 from __future__ import annotations
@@ -66,13 +69,11 @@ from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot, forward_kinematics, legs_at
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, largest_size, solve
 
-MOST, MOST_DELAY = np.log(3.0), 0.05
-"""Bounds of the logarithms [-], and of the delay [s]."""
-SATURATED = 0.9
-"""Share of the torque limit from which on a motor counts as saturated."""
-OUTLIER, REJECTED = 3.0, 0.1
-"""Standard deviations from which on a row is rejected as somebody's push; share of rejected rows above which that
-limit widens."""
+MAX_LOG_RATIO = np.log(3.0)  # [-] bound on the logarithms `head` and `drive`.
+MAX_DELAY = 0.05  # [s] bound on the delay.
+SATURATED = 0.9  # Share of the torque limit above which a motor counts as saturated.
+OUTLIER = 3.0  # [standard deviations] residual above which a row is rejected as an outlier, such as a person's push.
+REJECTED = 0.1  # Share of rejected rows above which the limit for outliers widens.
 
 
 @njit
@@ -88,10 +89,11 @@ def regression_tick(
     sample: Sample,
     state: RegressionState,
 ) -> None:
-    """A tick: extends the present block; a complete one gives a sample of the motion in the middle of the kernel.
+    """One tick: adds reading and command to the present block. Every complete block gives one sample.
 
-    `robot`, `joints` and `friction` are those of the model, `rest` is the robot without a head. A reading has the
-    angles (6,) [rad] of the cranks, or pose and rate (12,).
+    The sample is the smoothed motion in the middle of the kernel, several blocks ago. `robot`, `joints` and `friction`
+    are those of the model; `rest` is the rest of the robot, without the head. A reading has the angles (6,) [rad] of
+    the cranks, or pose and rate (12,).
     """
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     if params.frozen == 1.0:
@@ -139,7 +141,7 @@ def _gather(
         state.bad = 1.0
     elif state.bad == 0.0:
         for i in range(6):
-            # Within half a turn of the last block's.
+            # Whole turns are removed: the angle is within half a turn of its mean over the last block.
             near = state.angles[NEWEST, i]
             angle = near + _within_turn(angles[i] - near)
             state.sum_angles[i] += angle
@@ -154,9 +156,10 @@ def _within_turn(angle: float) -> float:
 
 @njit
 def _close_block(robot: Robot, joints: Joints, params: RegressionParams, legs: Legs, state: RegressionState) -> None:
-    """Appends the means of a block, or those of the last block where it is bad or no pose has its angles.
+    """Appends the means of the complete block; a bad block repeats the means of the block before.
 
-    A block is also bad where a crank jumps, until it is back; but not after missing readings.
+    A block is bad if a reading or command was not finite, if no pose has its angles, or if a crank jumped by 0.5 rad
+    from the block before. After missing readings a jump is accepted.
     """
     for row in range(ROWS - 1):
         state.good[row] = state.good[row + 1]
@@ -180,6 +183,7 @@ def _close_block(robot: Robot, joints: Joints, params: RegressionParams, legs: L
                 state.angles[NEWEST, i] = angles[i]
                 state.commands[NEWEST, i] = state.sum_command[i] / params.stride
     missing = state.bad == 1.0 or state.good[NEWEST - 1] < 0.0
+    # See `RegressionState.good` for these three values.
     state.good[NEWEST] = 1.0 if good else -1.0 if missing else 0.0
     _append_unsmoothed(robot, joints, params, legs, state)
     for i in range(6):
@@ -258,7 +262,7 @@ def sample_rows(
 
 @njit
 def _smooth(params: RegressionParams, state: RegressionState, sample: Sample) -> None:
-    """Motion, commands, and what jumps at a reversal, in the middle of the kernel."""
+    """Smooths motion, commands, signs of the rates and torques of the ball joints, in the middle of the kernel."""
     for i in range(6):
         sample.motion[i] = sample.motion[6 + i] = sample.acceleration[i] = sample.angles[i] = sample.rates[i] = 0.0
         sample.command[i] = sample.command_rate[i] = sample.sign[i] = sample.at_rest[i] = 0.0
@@ -277,7 +281,7 @@ def _smooth(params: RegressionParams, state: RegressionState, sample: Sample) ->
                 sample.joint_torque[n, i] += weight * state.unsmoothed[k, 1 + n, i]
     delay = state.shared[DELAY]
     for row in range(ROWS):
-        # Commands at the delay that is estimated by now.
+        # Weights of the commands for the present estimate of the delay: Taylor series in the delay.
         rate = params.late[1, row] - delay * params.late[2, row]
         value = params.late[0, row] - delay * (params.late[1, row] - 0.5 * delay * params.late[2, row])
         for i in range(6):
@@ -295,7 +299,7 @@ def _needed_torques(
     sample: Sample,
     joints_learnt: bool,
 ) -> bool:
-    """Torques of the motors for wrenches at the head and for all other bodies; False at a singularity."""
+    """Motor torques for the wrenches at the head, and for all other bodies; False at a singularity."""
     motion, other, torques = sample.motion, sample.other_torque[:], sample.wrench_torque[:]
     twist, twist_rate, wrench, lines = np.empty(6), np.empty(6), np.empty(6), np.empty((6, 6))
     twists_of_motion(motion[:6], motion[6:], sample.acceleration[:], twist, twist_rate)
@@ -315,7 +319,7 @@ def _needed_torques(
     for i in range(6):
         for k in range(6):
             lines[k, i] = legs.line[i, k]
-    # Not singular: else the inverse dynamics had failed.
+    # The lines are independent: otherwise the inverse dynamics would have failed above.
     solve(lines, torques)
     for i in range(6):
         for n in range(N_WRENCH):
@@ -323,7 +327,7 @@ def _needed_torques(
     if joints.viscous > 0.0 or joints.coulomb > 0.0 or joints.inertia > 0.0:
         joint = np.zeros(6)
         if joints_learnt:
-            # Their friction is in `joint_torque`.
+            # Only their inertia: their friction is unknown, and its torques are in `sample.joint_torque`.
             parts = np.zeros((3, 6))
             ball_joint_parts(robot, joints, motion[:], sample.acceleration[:], legs, parts)
             for i in range(6):
@@ -337,7 +341,7 @@ def _needed_torques(
 
 @njit
 def _unit_moment(head: Robot, axis: int) -> None:
-    """Makes a head of unit first moment along an axis alone, without mass and inertia."""
+    """Sets a head with a unit first moment along one axis, and with no mass or inertia."""
     head.platform_mass = 0.0
     for k in range(3):
         head.platform_moment[k] = 1.0 if k == axis else 0.0
@@ -349,7 +353,7 @@ def _unit_moment(head: Robot, axis: int) -> None:
 def _fill_row(
     params: RegressionParams, sample: Sample, state: RegressionState, i: int, torque: float, row: Vector
 ) -> None:
-    """The equation of a motor: derivatives of its torque by the unknowns, then what of its torque is unexplained."""
+    """The equation of a motor: derivatives of its torque by the unknowns, then the residual torque."""
     motor, shared, moments, rate, sign = (
         state.per_motor[i],
         state.shared,
@@ -381,7 +385,7 @@ def _fill_row(
         row[N_MOTOR + at] = sample.joint_torque[n, i]
         residual -= shared[at] * sample.joint_torque[n, i]
     row[N_MOTOR + len(shared)] = residual
-    # While a crank rests, its dry friction may be anything up to its level.
+    # The dry friction of a resting crank can have any value up to its Coulomb friction, so it counts as noise.
     variance = params.shared_sigma[COULOMB] ** 2 + params.motor_sigma[MOTOR_COULOMB] ** 2
     level = np.sqrt(coulomb**2 + state.coulomb_uncertainty[i] ** 2 * variance)
     deviation = np.hypot(params.noise * params.limit[i], sample.at_rest[i] * level)
@@ -391,7 +395,7 @@ def _fill_row(
 
 @njit
 def _update(params: RegressionParams, state: RegressionState, rows: Matrix) -> None:
-    """Updates the estimate with a sample; rows whose residual exceeds three standard deviations are rejected."""
+    """Updates the estimate with a sample; rows with a residual above three standard deviations are rejected."""
     accepted, count, total = np.zeros(6), 0.0, 0.0
     for i in range(6):
         if rows[i, MOTOR_COULOMB] != 0.0:
@@ -401,7 +405,8 @@ def _update(params: RegressionParams, state: RegressionState, rows: Matrix) -> N
             count += accepted[i]
             total += 1.0
     if total > 0.0:
-        # Stochastic approximation of a quantile. Without it an estimate that is wrong and sure of itself stays.
+        # Stochastic approximation of a quantile. Without it, a wrong estimate with small intervals would reject all
+        # the rows that could correct it.
         excess = (1.0 - count / total - REJECTED) / (1.0 - REJECTED)
         state.noise_scale = max(1.0, state.noise_scale * np.exp(params.widening * excess))
     for i in range(6):
@@ -416,7 +421,7 @@ def _update(params: RegressionParams, state: RegressionState, rows: Matrix) -> N
         copy_to(state.bounded_per_motor[i], state.per_motor[i])
     copy_to(state.bounded_shared[:], state.shared)
     if joint_unknowns(state) == N_JOINT:
-        # With bounds on the estimate itself, every sample would bend what is known of the motors.
+        # The bounds apply to a copy. On the estimate itself, they would bias the motors' parameters at every sample.
         most, limit = np.empty(2), largest_size(params.limit[:])
         most[0], most[1] = limit * MOST_DAMPING, limit * MOST_COULOMB
         constrain_last_two(state.motor_rows, state.shared_rows, state.bounded_per_motor, state.bounded_shared, most)
@@ -427,8 +432,8 @@ def _update(params: RegressionParams, state: RegressionState, rows: Matrix) -> N
 def _bound(params: RegressionParams, shared: Vector) -> None:
     """Keeps logarithms, delay and first moment of the head within their bounds."""
     for k in range(HEAD, DRIVE + 1):
-        shared[k] = min(max(shared[k], -MOST), MOST)
-    shared[DELAY] = min(max(shared[DELAY], -MOST_DELAY), MOST_DELAY)
+        shared[k] = min(max(shared[k], -MAX_LOG_RATIO), MAX_LOG_RATIO)
+    shared[DELAY] = min(max(shared[DELAY], -MAX_DELAY), MAX_DELAY)
     most = params.most_moment * np.exp(shared[HEAD])
     for k in range(N_SHARED, len(shared)):
         shared[k] = min(max(shared[k], -most), most)

@@ -36,7 +36,7 @@ class BallJoints(Section, key="model.friction.joints"):
     coulomb: NotNegative = 0.0
     """[N m] dry friction of a joint about three axes: the motor's across the rod, the one across both, and the rod."""
     width: Positive = 0.01
-    """[rad/s] speed about an axis from which on dry friction acts in full; below, in proportion."""
+    """[rad/s] speed about an axis above which dry friction is constant; below, it is proportional to the speed."""
     inertia: NotNegative = 0.0
     """[kg m^2] inertia of a joint, such as MuJoCo's armature."""
     crank: SixNumbers = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)

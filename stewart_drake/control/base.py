@@ -123,7 +123,7 @@ class UserAdaptation(UserParts, AdaptationOptions, key="adaptation"):  # type: i
 
     @property
     def writes(self) -> Mapping[str, tuple[str, ...]]:  # type: ignore[override]
-        """That of the class, else of `AdaptationOptions`."""
+        """`writes` of the class, or of `AdaptationOptions` if the class has none."""
         writes: Mapping[str, tuple[str, ...]] = getattr(self.load(), "writes", AdaptationOptions.writes)
         return writes
 

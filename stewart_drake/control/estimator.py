@@ -43,7 +43,7 @@ class EstimatorOptions(Section, key="estimator"):
         return 0.0
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:  # noqa: ARG002
-        """From the signal `reading` to `measurement`; none where that is the reading itself."""
+        """The parts from the signal `reading` to `measurement`; none if the reading is the measurement."""
         return ()
 
 

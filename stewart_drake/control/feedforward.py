@@ -1,4 +1,4 @@
-"""Feedforward alone: inverse dynamics of the reference, for motors with a position loop. It needs no reading."""
+"""Feedforward without feedback: inverse dynamics of the reference, for motors with a position loop."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, UNREACHABLE, L
 
 
 class FeedforwardOptions(ControllerOptions):
-    """Torque of the exact model at the reference, without feedback, which is left to motors that take angles.
+    """Torque of the exact model at the reference. The feedback is left to the position loops of the motors.
 
-    The reference is the one of the time at which the command acts: later by the delays and half a period.
+    The reference is evaluated at the time when the command acts: after the delays, plus half a period for the hold.
     """
 
     feedback: ClassVar[bool] = False
@@ -26,7 +26,7 @@ class FeedforwardOptions(ControllerOptions):
     kind: Literal["feedforward"] = "feedforward"
     period: Period = 0.02
     feedforward: Literal["none", "gravity", "full"] = "full"
-    """The torque. none: zero, so that motors which take angles get those of the inverse kinematics. gravity: static
+    """The torque. none: zero; motors that take angles then get the angles of the inverse kinematics. gravity: static
     torque at the reference. full: inverse dynamics of the motion."""
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
@@ -36,7 +36,7 @@ class FeedforwardOptions(ControllerOptions):
 
 
 def lead_part(period: float) -> Part:
-    """`reference` (18,) -> `shifted_reference` (18,), later by the delay that is learnt beyond that of the model."""
+    """`reference` (18,) -> `shifted_reference` (18,), later by the learnt delay, which adds to that of the model."""
     numbers = {"command_lead": np.zeros(1), "params": LeadParams.new(period=period)}
     return Part(
         "reference_lead", lead_tick, {}, {"reference": 18}, ("shifted_reference",), LeadState.new(), parameters=numbers
@@ -44,22 +44,22 @@ def lead_part(period: float) -> Part:
 
 
 class LeadParams(Record):
-    """Parameters of the lead."""
+    """Parameters of `lead_tick`."""
 
     period: float  # [s]
 
 
 class LeadState(Record):
-    """State of the lead."""
+    """State of `lead_tick`."""
 
-    shifted_reference: Vec18  # Reference, a little later.
+    shifted_reference: Vec18  # Reference at the time when the command acts.
     acceleration: Vec6  # [rad/s^2, m/s^2] of the reference at the tick before.
-    ticks: float  # Ticks done.
+    ticks: float  # Number of ticks so far.
 
 
 @njit
 def lead_tick(command_lead: Vec1, params: LeadParams, reference: Vec18, state: LeadState) -> None:
-    """A reference (18,) later by `command_lead` [s]: its Taylor series, the jerk by the difference of two ticks."""
+    """Extrapolates a reference (18,) by `command_lead` [s] with a Taylor series; the jerk is a difference quotient."""
     state, h = record(state), command_lead[0]
     for k in range(6):
         pose, rate, acceleration, jerk = reference[k], reference[6 + k], reference[12 + k], 0.0
@@ -83,7 +83,10 @@ class FeedforwardParams(Record):
 def feedforward_tick(
     robot: Robot, params: FeedforwardParams, _: Vec12, reference: Vec18, legs: Legs, state: ControllerState
 ) -> TickResult:
-    """Torque (6,) [N m] of a reference (18,): inverse dynamics, or at rest; result as of `pid_tick`."""
+    """Torque (6,) [N m] of a reference (18,), see `FeedforwardParams.level`.
+
+    Returns status, leg or -1, and its reach margin.
+    """
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     bad = legs_at(robot, reference[:6], legs)
     if bad >= 0:

@@ -26,7 +26,8 @@ from stewart_drake.mechanics.kinematics_laws import Robot
 from stewart_drake.mechanics.linear_algebra import set_to
 
 LEAST_DAMPING, MOST_DAMPING, MOST_COULOMB = -0.1, 0.6, 0.4
-"""Bounds, over the torque limit. A delay that the model has too long shows as negative damping."""
+"""Bounds [s/rad] and [-], over the torque limit. If the delay of the model is too long, the estimated damping is
+negative."""
 HALF_WIDTH = 1.96
 """Half of a 95 % interval over the standard deviation."""
 

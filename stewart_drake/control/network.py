@@ -23,8 +23,7 @@ from stewart_drake.control.features import DensityKind
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.linear_algebra import all_finite
 
-MAX_BYTES = 1_000_000
-"""Of a weights file."""
+MAX_BYTES = 1_000_000  # Largest size of a weights file.
 
 
 # --- any network -----------------------------------------------------------------------------------------------------
@@ -87,7 +86,7 @@ class Mlp:
     """Two arrays; the first is nowhere above the second."""
     record_type: ClassVar[type[MlpParams]]
     sizes: ClassVar[Mapping[str, int]]
-    """n, m and, where it is fixed, h."""
+    """Numbers of inputs n, outputs m and, if it is fixed, hidden units h."""
     input_mean: np.ndarray
     input_scale: np.ndarray
     hidden_weights: np.ndarray

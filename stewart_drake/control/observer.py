@@ -1,12 +1,20 @@
-"""A disturbance observer: pose and rate of the platform and unmodelled crank accelerations, from crank angles.
+"""Disturbance observer: estimates pose and rate of the platform and unmodelled crank accelerations from crank angles.
 
-Between ticks the exact model predicts. A reading corrects pose, rate and disturbance by the steady Kalman filter of
-theta' = rate, rate' = model + disturbance + white noise, disturbance' = white noise, reading = theta + white noise, for
-one crank at a time: readings have the same noise in all cranks. A disturbance as a state: C. Johnson, IEEE Trans.
-Autom. Control 16, 1971.
+A tick has three steps:
 
-With stiction such a state hunts: it grows until the crank breaks away and jumps too far. So for motors with friction it
-is held while the reference rests and all cranks are within the noise of its angles.
+1. Predict: the exact model moves pose and rate by one period, under the last command and the estimated disturbance.
+2. Correct: the innovation, reading minus predicted angle, corrects pose, rate and disturbance. The gains are those of
+   the steady Kalman filter of one crank,
+
+       theta' = rate,  rate' = model + disturbance + white noise,  disturbance' = white noise,
+       reading = theta + white noise.
+
+   All readings have the same noise, so the gains are the same for all cranks.
+3. Look ahead: the model predicts pose, rate and disturbance torque at the time when the command of this tick acts.
+
+A disturbance as a state: C. Johnson, IEEE Trans. Autom. Control 16, 1971. With stiction such a state makes the crank
+hunt: the disturbance grows until the crank breaks away and moves too far. So for motors with friction the disturbance
+is kept constant while the reference rests and all cranks have arrived within the noise.
 """
 
 from __future__ import annotations
@@ -40,16 +48,17 @@ from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, SERIAL, UNREAC
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, set_to, solve, spectral_factor
 
 SMALLEST_NOISE = 1e-5  # [rad] least noise of readings in the observer: no model is more accurate.
-ARRIVED = 6.0  # Standard deviations of a reading within which a crank is at its target, whatever its friction.
-SLIP = 4.0  # [-] the same in break_away / (inertia bandwidth^2): about half of the jump of a crank that hunts.
-# [-] white noise of an acceleration, in units of the disturbance over the bandwidth. It damps the filter's poles: the
-# disk margin of the loop is 0.49 with it, 0.37 without.
+# A crank has arrived if its error is below the larger of two bounds:
+ARRIVED = 6.0  # [standard deviations of a reading]
+SLIP = 4.0  # [break_away / (inertia bandwidth^2)] about half of the jump of a crank that hunts.
+# [-] white noise of the acceleration, in units of disturbance / bandwidth. It damps the poles of the filter: the disk
+# margin of the loop is 0.49 with it, 0.37 without.
 WHITE_SHARE = 1.5
-AT_REST = 1e-4  # [rad/s] crank rate below which a reference is at rest.
-LONGEST_DELAY = 100  # [ticks] from a reading to the command that acts on it.
+AT_REST = 1e-4  # [rad/s] rate of all cranks below which the reference is at rest.
+LONGEST_DELAY = 100  # [ticks] from a reading to the time when the command computed from it acts.
 FARTHEST = 0.3  # [s] longest prediction; assumed.
-MISSING, AT_FIRST = 7, 16
-"""Status of an encoder that is missing for too long; offset of the statuses of the first tick."""
+MISSING = 7  # Status of an encoder that is missing for too long.
+AT_FIRST = 16  # Added to the statuses of `pose_of_angles` in the first tick.
 STATUSES = {
     UNREACHABLE: Status("unreachable_pose", "reading", of_leg=True),
     SERIAL: Status("crank_dead_centre", "state.measurement", of_leg=True),
@@ -65,7 +74,7 @@ STATUSES |= {
 
 
 class ObserverOptions(EstimatorOptions):
-    """A Kalman filter with the exact model of the robot, see docs/observer.md."""
+    """Steady Kalman filter with the exact model of the robot, see docs/observer.md."""
 
     moved_keys: ClassVar[Mapping[str, str]] = {"delay": "model.delay"}
     knobs = (("disturbance", "observer: disturbance"),)
@@ -94,44 +103,55 @@ class ObserverParams(Record):
 
     period: float  # [s]
     gravity: float  # [m/s^2]
-    noise: float  # [rad] of a reading.
-    max_innovation: float  # [rad]
-    hold_ticks: float  # Ticks in a row without a reading.
+    noise: float  # [rad] standard deviation of a reading.
+    max_innovation: float  # [rad] innovation above which a reading is rejected.
+    hold_ticks: float  # [ticks] in a row without a reading after which the run ends.
     mobility: float  # [1/(kg m^2)] largest acceleration of a crank per torque of its motor.
-    age: float  # Age of a reading in ticks.
-    ahead: float  # Ticks from a reading's time to the time when the command of its tick acts.
+    age: float  # [ticks] age of a reading.
+    ahead: float  # [ticks] from the time of a reading to the time when the command computed from it acts.
 
 
 class ObserverState(Record):
     """State of the observer."""
 
-    measurement: Vec12  # [rad, m and 1/s] pose and rate now.
-    predicted: Vec12  # [rad, m and 1/s] at the time when the command of this tick acts.
-    disturbance_torque: Vec6  # [N m] compensation of the disturbance at that time.
+    # Outputs.
+    measurement: Vec12  # [rad, m] pose now, and its rate.
+    predicted: Vec12  # [rad, m] pose when the command of this tick acts, and its rate.
+    disturbance_torque: Vec6  # [N m] torque that compensates the disturbance when the command acts.
     innovation: Vec6  # [rad] readings minus predictions; 0 for a missing reading.
     health: Vec2  # See `loop.part.HEALTHY`.
-    read: Vec12  # [rad, m and 1/s] at the time of the reading.
-    next: Vec12  # [rad, m and 1/s] a tick later; used with a delay.
+    # Memory.
+    read: Vec12  # [rad, m] corrected pose at the time of the reading, and its rate.
+    next: Vec12  # [rad, m] predicted pose one tick after the reading, and its rate; used with a delay.
     disturbance: Vec6  # [rad/s^2] unmodelled acceleration of the cranks.
-    missed: Vec6  # Ticks in a row without a reading.
+    missed: Vec6  # [ticks] in a row without a reading.
     assembly_sign: float  # Sign of the determinant of the rods' lines; 0 before the first tick.
     commands: Commands  # [N m] the last `ahead` + 1, oldest first.
 
 
 @njit
 def bandwidth(noise: float, disturbance: float, period: float) -> float:
-    """[rad/s] of the observer: geometric mean of its three poles in continuous time."""
+    """Bandwidth [rad/s] of the observer: geometric mean of its three poles in continuous time.
+
+    Args:
+        noise: [rad] standard deviation of a reading.
+        disturbance: [rad/s^2 per sqrt(s)] expected change of the unmodelled acceleration.
+        period: [s].
+    """
     return (disturbance / (noise * np.sqrt(period))) ** (1.0 / 3.0)
 
 
 @njit
 def kalman_gains(noise: float, disturbance: float, period: float) -> tuple[float, float, float]:
-    """Gains of the steady Kalman filter of one crank, in closed form: of angle [-], rate [1/s], disturbance [1/s^2].
+    """Gains of the steady Kalman filter of one crank, in closed form; arguments as for `bandwidth`.
 
-    With g = disturbance^2 h^5 / noise^2 and a = white^2 h^3 / noise^2 for a white acceleration, the spectrum of the
-    readings is proportional to u^3 + (a/4 + g/16) u^2 + (a + g/2) u + g, see `spectral_factor`: disturbance and
-    acceleration reach the angle through h^2 (z + 1) / 2 d^3 and h^2 (z + 1) / 2 d^2, d = z - 1. Its factor has the
-    filter's poles.
+    The transfer functions from disturbance and white acceleration to the angle are h^2 (z + 1) / (2 d^3) and
+    h^2 (z + 1) / (2 d^2), with d = z - 1 and the period h. So the spectrum of the readings is proportional to
+    u^3 + (a/4 + g/16) u^2 + (a + g/2) u + g, with g = disturbance^2 h^5 / noise^2, a = white^2 h^3 / noise^2 and u as
+    in `spectral_factor`. The stable factor of the spectrum has the poles of the filter.
+
+    Returns:
+        Gains from the innovation to the angle [-], its rate [1/s] and the disturbance [1/s^2].
     """
     turn = bandwidth(noise, disturbance, period) * period
     wandering, white = turn**6, WHITE_SHARE**2 * turn**4
@@ -143,7 +163,10 @@ def kalman_gains(noise: float, disturbance: float, period: float) -> tuple[float
 def predict(
     robot: Robot, params: ObserverParams, torque: Vec6, disturbance: Vec6, pose: Vec6, rate: Vec6, legs: Legs
 ) -> TickResult:
-    """Advances pose and rate by a period under a torque [N m], in place; result as of `observer_tick`."""
+    """Moves pose and rate by one period under a torque [N m] and a disturbance [rad/s^2], in place.
+
+    Returns status, leg or -1, and margin, as `observer_tick` does.
+    """
     acceleration, h = np.empty(6), params.period
     bad = legs_at(robot, pose, legs)
     if bad >= 0:
@@ -170,10 +193,13 @@ def observer_tick(
     estimate: DifferenceState,
     state: ObserverState,
 ) -> TickResult:
-    """One tick: predicts, corrects by the accepted readings, looks ahead; see `observer_part`.
+    """One tick: predicts, corrects by the accepted readings, looks ahead; changes `state` in place.
 
-    `first_params` are for the first tick, see `_begin`; `legs` and `estimate` are overwritten. Returns status of
-    `STATUSES`, leg or -1, margin.
+    The inputs `reading`, `net_torque`, `reference` and `disturbance` are described in `observer_part`. `first_params`
+    are parameters of `pose_of_angles`, for the first tick. `legs` and `estimate` are work space and are overwritten.
+
+    Returns:
+        Status, a key of `STATUSES` or 0; the leg that it is about, or -1; and its margin.
     """
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     friction = record(friction)
@@ -195,7 +221,7 @@ def _begin(
     estimate: DifferenceState,
     state: ObserverState,
 ) -> TickResult:
-    """The first tick: the pose of the readings by `pose_of_angles`, and the rate of the state."""
+    """The first tick: computes the pose from the readings by forward kinematics; the rate is the initial one."""
     estimate.started, estimate.missed, estimate.assembly_sign = 0.0, 0.0, 0.0
     copy_to(estimate.measurement[:], state.measurement[:])
     copy_to(estimate.angles[:], reading[:6])
@@ -227,7 +253,7 @@ def _observe(
     legs: Legs,
     state: ObserverState,
 ) -> TickResult:
-    """A tick after the first."""
+    """All ticks after the first: brings readings and commands into the form of `_correct`, corrects, looks ahead."""
     cosine, sine = np.empty(6), np.empty(6)
     for i in range(6):
         cosine[i], sine[i] = np.cos(reading[i]), np.sin(reading[i])
@@ -240,7 +266,7 @@ def _observe(
             sine[i] = legs.sine[i] if bad < 0 else np.nan
     for row in range(int(params.ahead)):
         copy_to(state.commands[row], state.commands[row + 1])
-    # For a command that is not finite the safety layer repeats the last one.
+    # If a command is not finite, the safety layer has sent the last one again, and so does this.
     if all_finite(net_torque):
         copy_to(state.commands[int(params.ahead)], net_torque)
     status, leg, margin = _correct(robot, params, break_away, cosine, sine, reference, density, state, legs)
@@ -261,7 +287,7 @@ def _correct(
     state: ObserverState,
     legs: Legs,
 ) -> TickResult:
-    """Prediction and correction by readings with these cosines and sines; sets `state.read`."""
+    """Predicts and corrects by readings, given as cosines and sines of the angles; sets `state.read`."""
     h, pose, rate = params.period, np.empty(6), np.empty(6)
     start = state.read[:] if params.ahead == 0.0 else state.next[:]
     copy_to(pose, start[:6])
@@ -277,7 +303,7 @@ def _correct(
     to_angle, to_rate, to_disturbance = kalman_gains(params.noise, density, h)
     worst = 0
     for i in range(6):
-        # Reading minus prediction, within half a turn.
+        # Innovation: angle from prediction to reading, within half a turn.
         c, s = legs.cosine[i], legs.sine[i]
         state.innovation[i] = np.arctan2(sine[i] * c - cosine[i] * s, cosine[i] * c + sine[i] * s)
         if abs(state.innovation[i]) <= params.max_innovation:
@@ -289,21 +315,22 @@ def _correct(
             worst = i
     if state.missed[worst] > params.hold_ticks:
         return MISSING, worst, 0.0
-    lines, turned, change = legs.line.copy(), np.empty((6, 2)), np.empty(6)
+    # Corrections of the six angles and rates -> twists of the platform.
+    lines, twists, change = legs.line.copy(), np.empty((6, 2)), np.empty(6)
     for i in range(6):
-        turned[i, 0] = legs.lever[i] * to_angle * state.innovation[i]
-        turned[i, 1] = legs.lever[i] * to_rate * state.innovation[i]
-    sign = solve(lines, turned)
+        twists[i, 0] = legs.lever[i] * to_angle * state.innovation[i]
+        twists[i, 1] = legs.lever[i] * to_rate * state.innovation[i]
+    sign = solve(lines, twists)
     if sign != state.assembly_sign:
         copy_to(state.measurement[:6], pose)
         return PARALLEL, -1, 0.0
-    predicted, to_pose, to_pose_rate = pose.copy(), np.empty(6), np.empty(6)
+    predicted, pose_twist, rate_twist = pose.copy(), np.empty(6), np.empty(6)
     for k in range(6):
-        to_pose[k], to_pose_rate[k] = turned[k, 0], turned[k, 1]
-    laws.rate_of(predicted, to_pose, change)
+        pose_twist[k], rate_twist[k] = twists[k, 0], twists[k, 1]
+    laws.rate_of(predicted, pose_twist, change)
     for k in range(6):
         pose[k] += change[k]
-    laws.rate_of(predicted, to_pose_rate, change)
+    laws.rate_of(predicted, rate_twist, change)
     for k in range(6):
         rate[k] += change[k]
     copy_to(state.read[:6], pose)
@@ -318,28 +345,29 @@ def _correct(
 def _rests_at_target(
     params: ObserverParams, break_away: float, legs: Legs, density: float, pose: Vec6, reference: Vec18
 ) -> bool:
-    """Whether the motors have stiction, the reference is at rest and all cranks are near its angles."""
+    """True if the motors have stiction, the reference is at rest and all cranks have arrived at its angles."""
     if break_away <= 0.0:
         return False
-    turn = bandwidth(params.noise, density, params.period)
-    arrived = max(ARRIVED * params.noise, SLIP * break_away * params.mobility / (turn * turn))
+    speed = bandwidth(params.noise, density, params.period)
+    arrived = max(ARRIVED * params.noise, SLIP * break_away * params.mobility / (speed * speed))
     difference, error, target = np.empty(6), np.empty(6), np.empty(6)
     for k in range(6):
         difference[k] = pose[k] - reference[k]
     laws.twist_of(pose, difference, error)
     laws.twist_of(pose, reference[6:12], target)
     for i in range(6):
-        apart = dot(legs.line[i, :3], error[:3]) + dot(legs.line[i, 3:], error[3:])
-        turning = dot(legs.line[i, :3], target[:3]) + dot(legs.line[i, 3:], target[3:])
+        # Error and rate of a crank, times its lever.
+        distance = dot(legs.line[i, :3], error[:3]) + dot(legs.line[i, 3:], error[3:])
+        rate = dot(legs.line[i, :3], target[:3]) + dot(legs.line[i, 3:], target[3:])
         lever = abs(legs.lever[i])
-        if not (abs(apart) <= arrived * lever and abs(turning) <= AT_REST * lever):
+        if not (abs(distance) <= arrived * lever and abs(rate) <= AT_REST * lever):
             return False
     return True
 
 
 @njit
 def _look_ahead(robot: Robot, params: ObserverParams, legs: Legs, state: ObserverState) -> TickResult:
-    """The rest of a tick: predictions for now and for the time of its command, and the disturbance torque then."""
+    """Predicts the present and the time when the command acts; computes the disturbance torque for that time."""
     predicted, torque = state.predicted, np.empty((6, 1))
     copy_to(predicted[:], state.read[:])
     for row in range(int(params.ahead) + 1):
@@ -367,8 +395,13 @@ def _look_ahead(robot: Robot, params: ObserverParams, legs: Legs, state: Observe
 def observer_part(options: ObserverOptions, context: LoopContext) -> Part:
     """The observer as a part of a loop.
 
-    Inputs: reading, (6,) crank angles [rad], NaN for a missing one, or (12,) pose [rad, m] and its rate; net_torque
-    (6,) [N m] the last command less the friction; reference (18,) now; disturbance (1,) [rad/s^2 per sqrt(s)] expected.
+    Inputs:
+        reading: (6,) [rad] crank angles, NaN for a missing one; or (12,) [rad, m] pose and its rate.
+        net_torque: (6,) [N m] the last command minus the friction.
+        reference: (18,) the present reference.
+        disturbance: (1,) [rad/s^2 per sqrt(s)] expected change of the unmodelled acceleration in a second.
+
+    Outputs: measurement, predicted, disturbance_torque, innovation; see `ObserverState`.
     """
     robot, period, age = context.robot, context.period, round(context.reading_age / context.period)
     ahead = age + context.delay

@@ -33,7 +33,7 @@ from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.linear_algebra import copy_to
 
 NAMES = ("speed", "damping", "integral", "disturbance")
-"""Of the numbers of a setting."""
+"""Names of the four numbers of a setting."""
 SIZE = len(NAMES)
 STEP = 0.03
 """[-] share of its box by which a setting moves in a tick, at most. Per second instead, the setting of a slow robot
@@ -159,7 +159,7 @@ def schedule_tick(
     reference: Vec18,
     state: TunerState,
 ) -> None:
-    """As `policy_tick`: the alert setting while innovations are large and for a while after, the calm one otherwise."""
+    """A tick of a schedule: the alert setting while innovations are large, and for a while after; else the calm one."""
     values, target, confidence = np.empty(_COUNT), np.empty(SIZE), 0.0
     if compute_features(params, density, error, torque, innovation, reference, state, values):
         confidence = 1.0

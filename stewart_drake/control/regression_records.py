@@ -18,7 +18,7 @@ LATE = 16  # [blocks] that a command and a reading may be late together.
 KERNEL, ROWS = 2 * HALF + 1, 3 * HALF + LATE + 1  # [blocks] in a kernel; stored.
 NEWEST, MIDDLE = ROWS - 1, ROWS - 1 - 2 * HALF
 WEIGHT, MOMENT, SIDE_PUSH, N_WRENCH = 0, 1, 1 + N_MOMENT, 4 + N_MOMENT
-"""Columns of `Sample.wrench_torque`, and how many they are."""
+"""Indices and number of the columns of `Sample.wrench_torque`."""
 BlockRows = Annotated[np.ndarray, (ROWS, 6)]
 Shared = Annotated[np.ndarray, ("shared",)]
 
@@ -131,7 +131,7 @@ class Sample(Record):
     command_rate: Vec6
     sign: Vec6  # tanh(rate / width), smoothed.
     at_rest: Vec6  # Share of the kernel in which a crank rests.
-    joint_torque: Annotated[np.ndarray, (N_JOINT, 6)]  # Of unit viscous and unit dry friction of ball joints.
+    joint_torque: Annotated[np.ndarray, (N_JOINT, 6)]  # [N m] for unit viscous and unit dry friction of ball joints.
     other_torque: Vec6  # [N m] for rods, cranks and inertia of ball joints.
     wrench_torque: Annotated[np.ndarray, (6, N_WRENCH)]  # For the head; per first moment [kg m]; per sideways push.
     unit_head: Robot  # A head of unit first moment; its other fields are not used.

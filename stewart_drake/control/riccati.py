@@ -84,7 +84,7 @@ def discretize(a: np.ndarray, b: np.ndarray, period: float) -> tuple[np.ndarray,
 
 
 SMALLEST_SINGULAR_VALUE = 1e-13
-"""Of M^-1 tau, relative to the largest; below it the map counts as singular."""
+"""Smallest singular value over the largest one, of M^-1 tau, below which this map counts as singular."""
 
 
 @cache  # An import from pydrake.math takes longer than a solution.
@@ -157,7 +157,7 @@ def chain_gain(s: float, period: float, weights: Vec4, gain: Vec3) -> bool:
 
 @njit
 def decouple(acceleration_map: Mat6, length: float, left: Mat6, s: Vec6, right: Mat6) -> bool:
-    """Singular vectors of M^-1 tau = U S V', rotations scaled by a length [m]; False where it is singular.
+    """Singular vectors of M^-1 tau = U S V', rotations scaled by a length [m]; False if it is singular.
 
     Rows i of `left` and `right` become s_i u_i and v_i.
     """

@@ -21,16 +21,16 @@ from stewart_drake.base.records import Matrix, Vec2, Vec3, Vector
 from stewart_drake.mechanics.linear_algebra import copy_to
 
 MOTOR_DRIVE, MOTOR_DAMPING, MOTOR_COULOMB, N_MOTOR = range(4)
-"""Unknowns of one motor, and how many they are: logarithm of its drive, damping and Coulomb friction, less the shared
-ones."""
+"""Indices and number of the unknowns of one motor: differences of the logarithm of its drive, of its damping and of its
+Coulomb friction from the shared ones."""
 HEAD, DRIVE, DAMPING, COULOMB, DELAY, PUSH, N_SHARED = (*range(6), 8)
-"""Unknowns that all motors share: logarithm of the head's weight, logarithm of the drive, damping, Coulomb friction,
-delay, and three of a push; `N_SHARED` of them. After these come the head's first moment, where the centre of mass is
-learnt, and viscous and dry friction of the ball joints, where that is."""
+"""Indices and number of the unknowns that all motors share: logarithm of the head's weight, logarithm of the drive,
+damping, Coulomb friction, delay, and three of a push. If they are learnt, the head's first moment and then viscous and
+dry friction of the ball joints follow."""
 N_MOMENT, N_JOINT = 3, 2
-"""How many unknowns the head's first moment and the friction of ball joints are."""
+"""Numbers of unknowns of the head's first moment, and of the friction of ball joints."""
 SIDEWAYS = (3, 4, 2)
-"""Axes of a push in a wrench (moment, force): those in which no weight acts."""
+"""Axes of a sideways push in a wrench (moment, force): two horizontal forces and the moment about the vertical."""
 PerMotor = Annotated[np.ndarray, (6, N_MOTOR)]
 
 

@@ -37,7 +37,7 @@ class Tuner(Section, ABC, key="tuner"):
     """Whether it needs the innovations of an observer."""
     kind: str
     period: Period | None = None
-    """[s] between two decisions, a whole multiple of controller.period; null for the same."""
+    """[s] between two decisions, a whole multiple of controller.period; null takes controller.period."""
     density: DensityKind = "magnitude"
     """Kind of density (35), (36) that is computed and logged; for a network, the one that it was trained on."""
     window: Annotated[Window, Field(le=100_000)] = 49
@@ -47,7 +47,7 @@ class Tuner(Section, ABC, key="tuner"):
     @property
     @abstractmethod
     def weights(self) -> tuple[float, ...]:
-        """Weights at the start, as the controller takes them."""
+        """Weights at the start, in the form of the controller: (omega_Q, omega_R), or the four block weights."""
 
     def density_part(self) -> Part:
         """The part of the densities, which are always logged."""
@@ -58,7 +58,7 @@ class Tuner(Section, ABC, key="tuner"):
         return ()
 
     def opened(self) -> Self:
-        """A copy with the content of its file, which is not read again."""
+        """A copy that has read its file of weights, if any, so that the file is read only once."""
         return self
 
     def network(self) -> TunerNetwork | None:
@@ -94,7 +94,8 @@ class BlockWeights(Tuner):
     """Base of tuners of block weights: Q = diag(q_pose I, q_rate I, q_integral I), R = r I.
 
     The defaults are for the paper's robot. A scenario scales them to another robot by its acceleration per torque, so
-    that the loop is as fast. With a command delay above 5 ms the loop is slower in proportion.
+    that its loop is as fast as that of the paper's robot. A command delay above 5 ms makes the loop slower, in
+    proportion to the delay.
     """
 
     q_pose: Annotated[Positive, POSE_WEIGHT] = 4.0e5
@@ -112,7 +113,7 @@ class BlockWeights(Tuner):
 
 
 class BlockTuner(BlockWeights):
-    """Constant block weights; `controller.weight_length` sets how rotations count in them."""
+    """Constant block weights; `controller.weight_length` converts rotations to lengths."""
 
     knobs = (("q_pose", "weight: pose"), ("q_rate", "weight: rate"), ("q_integral", "weight: integral"))
     kind: Literal["block"] = "block"
@@ -127,7 +128,11 @@ class PaperTuner(PairTuner):
     """File of a trained network, relative to the scenario file; null takes the package's."""
 
     def network(self) -> TunerNetwork:
-        """Its network; a ConfigurationError if it was not trained on this kind of density or the initial weights."""
+        """Its network.
+
+        Raises a ConfigurationError for a network that was trained on another kind of density, or on a range of weights
+        without the initial ones.
+        """
         path = self.weights_file or TunerNetwork.shipped
         network = TunerNetwork.load(path)
         if network.density != self.density:
@@ -147,9 +152,10 @@ class PaperTuner(PairTuner):
 
 
 class SettingTuner(BlockWeights):
-    """Base of tuners of settings, in decades above these weights and `estimator.disturbance`.
+    """Base of tuners that choose a setting: factors, as decades, on these weights and on `estimator.disturbance`.
 
-    They use the innovations of an observer, see `features`, and change its bandwidth too.
+    Their inputs include the innovations of the observer, see `features`. The factor on its expected disturbance changes
+    the observer's bandwidth.
     """
 
     needs_observer: ClassVar[bool] = True
@@ -174,7 +180,7 @@ class PolicyTuner(SettingTuner):
     label: ClassVar[str] = "Output of the policy"
     kind: Literal["policy"] = "policy"
     kappa: Annotated[Real, Field(ge=-1.0, le=1.0)] = 0.0
-    """Preference from -1, stiff, to 1, quiet: a change of torque counts 10^kappa times as much against an error."""
+    """Preference from -1, stiff, to 1, quiet: in the cost, changes of torque are weighted by 10^kappa, errors by 1."""
     weights_file: Text | None = None
     """File of a trained policy, relative to the scenario file; null takes the package's."""
     _source: SettingSource | None = PrivateAttr(None)

@@ -30,11 +30,11 @@ from stewart_drake.robot.leg import LEG_COUNT
 
 _CONFIDENCE = 0.95
 _SHARE = 1e-3  # [-] of an unidentifiable direction beyond which a parameter has no interval
-_NOISY = 2.0  # [-] errors over the stated noise from which on the noise as stated, or the model, is doubtful
+_NOISY = 2.0  # Ratio of errors to the stated noise above which this noise, or the model, is doubtful.
 _SEARCH = {"x_scale": 0.1, "xtol": 1e-12, "ftol": 1e-12, "gtol": None}
-"""Steps are a tenth of `scales` at most: a free one from a crude guess may turn a motor's axis over."""
-_FIRST_CALLS, _CALLS = 10, 200
-"""Calls of the errors at most: six find what fits, and what does not fit needs no minimum."""
+"""Steps are at most a tenth of `scales`: from a crude guess, a larger step may flip a motor's axis."""
+_FIRST_CALLS = 10  # Evaluations of the errors in the first fit, at most: six suffice if the model fits at all.
+_CALLS = 200  # The same in the last fit.
 _LEAST_POSES = 4  # to locate the tracker's frames
 _SAME = 1e-9  # [rad, m] less than any tracker's last digit, more than a file's.
 _MISFIT = _BETTER = 5.0

@@ -165,7 +165,7 @@ class Result(ABC):
     """Base of results: an estimated robot that is shown, and written as tables, a page and a robot file."""
 
     columns: ClassVar[tuple[str, ...]]
-    """Of `rows`."""
+    """Names of the columns of `rows`."""
     about: ClassVar[str]
     """A paragraph on the table."""
     picture: ClassVar[str]

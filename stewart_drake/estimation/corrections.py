@@ -13,8 +13,9 @@ from stewart_drake.estimation.poses import Measurements
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
-_STRAY, _MOST_STRAYS, _SUSPECTS = 10.0, 0.2, 3
-"""A stray row is off so many times further than usual; share of rows that can be strays; rows suspected."""
+_STRAY = 10.0  # Error of a row, over the usual one, above which it counts as a stray row.
+_MOST_STRAYS = 0.2  # Largest share of stray rows.
+_SUSPECTS = 3  # Rows with the largest errors that are left out on trial.
 _DEGREE = math.pi / 180.0
 _UNITS = (
     ("pose_x, y, z", slice(3, 6), 1e-3, "millimetres for metres"),

@@ -23,10 +23,11 @@ HARMONICS = (2, 3, 5, 8, 13, 21, 31)
 PERIOD = 19.937
 """[s] of the motion: sines of 0.1 to 1.55 Hz; in every period coarse encoders have other errors."""
 ROOM, SERVO_ROOM = 1.15, 1.5
-"""[-] by which the motion could be larger within the limits: the robot differs from the guess, servos overshoot."""
+"""[-] factors by which the motion could be larger within the limits: a reserve, as the robot differs from the guess and
+servos overshoot."""
 _SAMPLES = 240
 _BEGINNINGS, _CHANGES = 20, 400
-MOTIONS = _BEGINNINGS + _CHANGES  # That are tried.
+MOTIONS = _BEGINNINGS + _CHANGES  # Number of motions that are tried.
 _FADE = 2.0
 _ROUNDING = 1e-9  # [-] of the largest singular value
 

@@ -33,8 +33,9 @@ LEG_PARAMETERS = (
     Parameter("motor_axis", "about quarter", "rad"),
     Parameter("homing_offset", "", "rad"),
 )
-"""Of one leg: positions in B and P; the motor's axis as a turn of the guess about its crank's directions; the homing
-offset is reading minus true angle, counted from the guess's `crank_zero_direction` as that turn leaves it."""
+"""Parameters of one leg. Positions are in B and P. `motor_axis` has two small rotations of the guessed axis, about the
+crank's two directions. The homing offset is reading minus true angle; the true angle is counted from the guess's
+`crank_zero_direction`, rotated with the axis."""
 KINDS = tuple(dict.fromkeys(parameter.kind for parameter in LEG_PARAMETERS))
 SHAFT, JOINT, CRANK, ROD, HOMING = slice(0, 3), slice(3, 6), 6, 7, 10
 PARAMETERS = (
@@ -46,15 +47,16 @@ PARAMETERS = (
         for axis in "xyz"
     ),
 )
-"""Those of legs 0 to 5, then turn and shift of the tracker's frame, then those of the marker's."""
+"""Parameters of legs 0 to 5, then rotation and translation of the tracker's frame, then of the marker's frame."""
 SIZE, PER_LEG, OF_ROBOT = len(PARAMETERS), len(LEG_PARAMETERS), len(LEG_PARAMETERS) * LEG_COUNT
 LARGEST_DEVIATION = 0.1  # [-] in `scales`, beyond which a direction counts as unidentifiable
-CLOSED = 1e-12  # [m] rod-length error at which a pose counts as that of the readings
+CLOSED = 1e-12  # [m] rod-length error below which forward kinematics has converged
 _NEWTON_STEPS = 40
 _STEP = 1e-5  # [m, rad] of finite differences
 _FRAME_STEPS = np.eye(SIZE)[OF_ROBOT:]
 _LEG_STEPS = np.hstack([np.tile(np.eye(PER_LEG), LEG_COUNT), np.zeros((PER_LEG, 12))])
-"""Steps of all legs at once: the closure of a leg depends on its numbers alone."""
+"""Finite-difference steps that change a parameter of all legs at once: the closure of a leg depends on its own
+parameters only."""
 
 
 def by_leg(values: np.ndarray, display: bool = False) -> np.ndarray:

@@ -27,10 +27,10 @@ LEAST = 1e-5
 """[-] least eigenvalue of bodies over the platform's mass, and least value of other numbers over the guess's."""
 _PASSES = 6
 _FIX_FIRST = np.array([5.0 if parameter.kind == "rod_mass" else 1.0 for parameter in PARAMETERS])
-"""Of several parameters that could keep the guess's value the rods' mass does, because rods can be weighed."""
+"""Preference for keeping the guess's value, if several parameters could: rods can be weighed."""
 _ROUNDING = 1e-9  # [-] of the largest singular value
-_UNEXPLAINED, _NOISY, _FACTOR = 0.5, 0.1, 30.0
-"""[-] of the torques' changes that may stay unexplained, or of the torques; largest ratio to the guess's torques."""
+_UNEXPLAINED, _NOISY = 0.5, 0.1  # Largest residual over the RMS change of the torques, or over the RMS torque.
+_FACTOR = 30.0  # Largest ratio of measured torques to those of the guess, or its inverse.
 _NAMED = 0.02  # [-] of its size by which a parameter must occur in a sum to be named there.
 
 

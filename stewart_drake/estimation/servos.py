@@ -54,15 +54,18 @@ ASKED = ("stiffness", "damping", "coulomb", "delay", "platform_mass")
 STIFFNESS, DAMPING, COULOMB, DELAY, MASS, ROTOR = slice(0, 6), slice(6, 12), slice(12, 18), 18, 19, 20
 QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"commanded_angle_{leg}", "rad") for leg in range(LEG_COUNT)))
 _LONGEST, _STEP = 0.2, 0.005  # [s] delays that are tried first.
-_AT_FIRST, _UNEXPLAINED, _FEW = 0.5, 0.2, 0.01
-"""[-] unexplained changes of command less angle that are allowed, before the law and after it; [s] size of a delay."""
+_AT_FIRST, _UNEXPLAINED = 0.5, 0.2
+"""Largest residual of command minus angle over its changes: in the first fit, and after the regression."""
+_FEW = 0.01  # [s] scale of a delay.
 _LEAST = 0.05  # [-] of the rows in which a crank must turn.
 _LAW: Any = {"forgetting": 1e5, "center_of_mass": False}
 _KERNEL = 0.032  # [s] least standard deviation of the law's kernel: twelve bits are rough.
 _FAST, _SHARE = 0.2, 0.2
-"""[rad/s] of a crank below which its rows are left out, or a share of its RMS: no reversal may be within the kernel."""
-_PASSES, _CORRECTIONS, _PIECES = 5, 2, 10
-"""Of the law over all rows; of its bias, by simulation; pieces left out one at a time, for the intervals."""
+"""Rows of a crank are left out while it is slower than this rate [rad/s] or this share of its RMS rate, whichever is
+less. So no reversal is within the kernel."""
+_PASSES = 5  # Passes of the regression over all rows.
+_CORRECTIONS = 2  # Corrections of its bias, by simulation.
+_PIECES = 10  # Parts of the log that are left out one at a time, for the intervals (jackknife).
 _STUDENT = 2.262  # 95 % of Student's distribution of that many pieces.
 _UNKNOWN = 0.6  # [-] half width of an interval, over a parameter's size, beyond which it counts as not determined.
 _FINEST = 1e-6  # [rad] of an encoder's steps.

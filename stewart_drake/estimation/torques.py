@@ -1,10 +1,12 @@
-"""Equations in the 32 parameters of a robot from logs of crank angles and torques, one per motor and instant.
+"""Regression equations for the 32 parameters of a robot, from logs of crank angles and motor torques.
+
+There is one equation for every motor and instant,
 
     torque_i = exp(-gain_i) (Y_i(motion) bodies + coulomb_i sign(rate_i) + viscous_i rate_i)
 
-The first fourteen parameters are those of the bodies. Gains are those of the amplifiers, or of the torque constants:
-gain_i is the natural logarithm of the true torque of motor i over that of its log. Angles and torques pass one filter.
-An equation is not used where its crank turns slowly or reverses, nor where the filter smears the reversal.
+The first fourteen parameters belong to the bodies. gain_i is the natural logarithm of the ratio of the true torque of
+motor i to the logged one: an error of the amplifier or of the torque constant. Angles and torques are filtered alike.
+An equation is left out while its crank turns slowly or reverses, and as long as the filter smears the reversal.
 """
 
 from __future__ import annotations
@@ -43,26 +45,29 @@ PARAMETERS = (
     *(Parameter("viscous", motor, "N m s/rad") for motor in _MOTORS),
     *(Parameter("torque_constant", motor, "") for motor in _MOTORS),
 )
-"""Moments are in P, inertias about its origin. The inertia of a crank is kept: only the sum with the rotor's acts."""
+"""`platform_moment` and `platform_inertia` are about the tool's point and along its axes, or those of P without a tool.
+The inertia of a crank is not a parameter: the motion depends only on its sum with the rotor's inertia."""
 KINDS = tuple(dict.fromkeys(parameter.kind for parameter in PARAMETERS))
 SIZE = len(PARAMETERS)
 BODIES, COULOMB, VISCOUS, GAIN = slice(0, 14), slice(14, 20), slice(20, 26), slice(26, 32)
 MASS, MOMENT, INERTIA, ROD_MASS, ROD_INERTIA, CRANK_MASS, ROTOR = 0, slice(1, 4), slice(4, 10), 10, 11, 12, 13
 ENTRIES = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Of the inertia's matrix, in the order of its six parameters."""
+"""Row and column of the six `platform_inertia` parameters in the inertia matrix."""
 
-UNEVEN = 0.1  # [-] of a step by which times may be off an even grid.
+UNEVEN = 0.1  # Largest deviation of a time step from the median step, as a share of it.
 QUANTITIES = (("time", "s"), *CRANK_ANGLES, *((f"torque_{leg}", "N m") for leg in range(LEG_COUNT)))
-BANDWIDTH, ROWS_A_PERIOD = 15.0, 12.0
-"""[Hz] where the filter lets half of the amplitude through, and least rows in one of its periods."""
-SLOW = 0.05  # [rad/s] of a crank below which its friction may stick
-_OVERSAMPLING, _SMEAR, _EDGE, _SHORTEST = 6.0, 0.5, 2.0, 20.0
-"""In periods of the bandwidth: rows a period, how far the filter smears, what the ends lose, what must be left."""
-_HOMOTOPY = 4
+BANDWIDTH = 15.0  # [Hz] frequency at which the filter halves the amplitude.
+ROWS_A_PERIOD = 12.0  # Least number of rows in a period of the bandwidth.
+SLOW = 0.05  # [rad/s] rate of a crank below which it may stick.
+_OVERSAMPLING = 6.0  # Equations in a period of the bandwidth.
+_SMEAR, _EDGE, _SHORTEST = 0.5, 2.0, 20.0
+"""In periods of the bandwidth: how far the filter smears a reversal, what is cut off at both ends, the least length of
+what is left."""
+_HOMOTOPY = 4  # Steps from home to the first pose.
 
 
 def values_of(robot: RobotParameters) -> np.ndarray:
-    """Parameters (`SIZE`,) of a robot without friction, with true torques in its log."""
+    """Parameters (`SIZE`,) of a robot; friction and gains are zero, as for a frictionless robot with a correct log."""
     inertia = robot.platform_inertia_about_origin
     platform = [robot.platform_mass, *robot.platform_moment, *(inertia[at] for at in ENTRIES)]
     links = [robot.rod_mass, robot.rod_inertia[0], robot.crank_mass, robot.rotor_inertia]
@@ -70,11 +75,11 @@ def values_of(robot: RobotParameters) -> np.ndarray:
 
 
 def as_robot(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
-    """The guess with bodies of parameters (`SIZE`,); friction and gains have no place in a robot."""
+    """The guess with the body parameters of `values` (`SIZE`,); a robot has no keys for friction and gains."""
     mass = float(values[MASS])
     centre = values[MOMENT] / mass
     central = inertia_matrix(values) - mass * ((centre @ centre) * np.eye(3) - np.outer(centre, centre))
-    # A robot's keys are in P.
+    # The keys of a robot are in P, the parameters in the tool's frame.
     central = guess.tool_rotation @ central @ guess.tool_rotation.T
     return guess.replace(
         platform_mass=mass,
@@ -89,13 +94,13 @@ def as_robot(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
 
 
 def inertia_matrix(values: np.ndarray) -> Any:
-    """Inertia (3, 3) of the platform about the origin of P, of parameters, numbers or expressions."""
+    """Inertia matrix (3, 3) of the platform from parameters, which are numbers or symbolic expressions."""
     xx, yy, zz, xy, xz, yz = values[INERTIA]
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def _body_record(guess: RobotParameters, bodies: np.ndarray) -> Robot:
-    """Record of a guess with other bodies (14,), not necessarily physical ones."""
+    """Record of the guess with other body parameters (14,), which need not be physically possible."""
     record, half = robot_record(guess).copy(), 0.5 * guess.crank_lengths
     record["platform_mass"], record["platform_moment"] = bodies[MASS], bodies[MOMENT]
     record["platform_tensor"] = inertia_matrix(bodies)
@@ -109,7 +114,7 @@ def _body_record(guess: RobotParameters, bodies: np.ndarray) -> Robot:
 
 
 def scales(guess: RobotParameters) -> np.ndarray:
-    """Change (`SIZE`,) of the parameters that counts as 1: their size, a hundredth of the limit, a tenth of gains."""
+    """Scales (`SIZE`,) of the parameters: the guess for bodies, 1 % of the effort limit for friction, 0.1 for gains."""
     mass, length, effort = guess.platform_mass, guess.characteristic_length, float(guess.effort_limits.mean())
     platform = [mass, *[mass * length] * 3, *[mass * length**2] * 6]
     links = [guess.rod_mass, guess.rod_inertia[0], guess.crank_mass, float(guess.crank_axis_inertias.mean())]
@@ -119,8 +124,8 @@ def scales(guess: RobotParameters) -> np.ndarray:
 def free_directions(hold: Collection[str]) -> np.ndarray:
     """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change.
 
-    A heavier robot and stronger motors give the same torques: unless one of them is held, the mean of the torque
-    constants is.
+    A heavier robot with stronger motors gives the same equations. So the mean of the torque constants is fixed, unless
+    `hold` fixes the torque constants or the platform's mass.
     """
     mean_gain = np.zeros(SIZE)
     mean_gain[GAIN] = 1.0
@@ -141,7 +146,7 @@ class CrankReadings(Readings):
     gravity: float
 
     def _fill(self) -> None:
-        """Puts rows where a machine has lost some ticks, on the straight line between their neighbours."""
+        """Interpolates rows where a machine has lost some ticks; commands keep their last value."""
         steps = np.diff(self.time)
         rows = np.rint(steps / max(float(np.median(steps)), 1e-9)).astype(int)
         if not (rows >= 1).all() or rows.max() > LOST_TICKS or rows.sum() > (1.0 + LOST_SHARE) * len(rows):
@@ -150,12 +155,11 @@ class CrankReadings(Readings):
         every, table = np.arange(place[-1] + 1), self.table
         filled = np.stack([np.interp(every, place, column) for column in table.T], axis=1)
         for name, column in self.columns.items():
-            # Commands were held.
             held = table[np.searchsorted(place, every, side="right") - 1] if name == "commands" else filled
             object.__setattr__(self, name, held[:, column])
 
     def check_cranks(self, *also: str) -> None:
-        """Checks them, and the other angles (n, 6) [rad] that are named, and takes out jumps by whole turns."""
+        """Checks the rows, fills gaps and unwraps `angles` and the other angles (n, 6) [rad] that are named."""
         self.check()
         if len(self) < 2:
             raise ConfigurationError(self.source, f"{len(self)} rows", "some seconds of motion")
@@ -188,9 +192,9 @@ class Recording(CrankReadings):
         time: (n,) [s].
         angles: (n, 6) [rad] encoder readings; kept without jumps by whole turns, the first within half a turn.
         torque: (n, 6) [N m] as reported by the motors' amplifiers.
-        lag: [s] from a row's time to the middle of that over which its torque acts.
+        lag: [s] from the time of a row to the middle of the interval in which its torque acts.
         gravity: [m/s^2].
-        source: What it is called in messages, such as the file's name.
+        source: Name for messages, such as the file's name.
 
     Raises:
         ConfigurationError: Wrong shapes; a value that is not finite; angles beyond two turns; gaps in time; torques
@@ -225,11 +229,11 @@ def recording_of_log(log: SimulationLog, source: str = "log") -> Recording:
     """Readings of encoders and amplifiers in a run."""
     motors = log.scenario.motors
     if motors.command_quantity != "torque":
-        allowed = f"a log of motors that take torque: those of kind {motors.kind} change theirs between two rows; "
-        allowed += "of motors that take angles `identify_servos`"
+        allowed = f"a log of motors that take torque: the torque of {motors.kind} motors changes between two rows; "
+        allowed += "for motors that take angles use `identify_servos`"
         raise ConfigurationError(source, f"motors.kind {motors.kind}", allowed)
     rows, angles = readings_of_log(log, source)
-    # A torque acts until the next tick. In the plant's steps an acceleration is half a step ahead of its torque.
+    # A torque acts until the next tick. In a step of the plant, the acceleration is half a step ahead of its torque.
     lag = 0.5 * (log.scenario.controller.period - log.scenario.plant.time_step)
     return Recording(log.time[rows], angles, log["torque_applied"][rows], lag, log.scenario.gravity, source)
 
@@ -250,21 +254,21 @@ class Samples:
 
     time: np.ndarray  # (n,) [s]
     measured: np.ndarray  # (n, 6) [N m] torques, or angles [rad].
-    columns: np.ndarray  # (n, 6, 26) [N m] torque by a unit of the parameters of bodies and friction.
+    columns: np.ndarray  # (n, 6, 26) [N m] torque for one unit of a parameter of bodies or friction.
     known: np.ndarray  # (n, 6) [N m] torque that does not depend on the parameters.
     rates: np.ndarray  # (n, 6) [rad/s] of the cranks.
-    used: np.ndarray  # (n, 6) equations that count.
-    pieces: tuple[slice, ...]  # Recordings.
+    used: np.ndarray  # (n, 6) True for an equation that is used.
+    pieces: tuple[slice, ...]  # Instants of a recording, for all recordings.
     step: float  # [s] between instants.
-    repeats: float  # Instants in half a period of the filter.
+    repeats: float  # Instants in half a period of the filter: so many equations count as one.
     source: str
 
     def predicted(self, values: np.ndarray) -> np.ndarray:
-        """Torques (n, 6) [N m] in logs of a robot with parameters (`SIZE`,)."""
+        """Torques (n, 6) [N m] that a robot with parameters (`SIZE`,) would log."""
         return np.exp(-values[GAIN]) * (self.columns @ values[: GAIN.start] + self.known)
 
     def derivative(self, values: np.ndarray) -> np.ndarray:
-        """Of `predicted` by the parameters, (n, 6, `SIZE`)."""
+        """Derivatives (n, 6, `SIZE`) of `predicted` with respect to the parameters."""
         by_gain = -self.predicted(values)[..., None] * np.eye(LEG_COUNT)
         return np.concatenate([np.exp(-values[GAIN])[:, None] * self.columns, by_gain], axis=-1)
 
@@ -300,20 +304,20 @@ def filtered(
     even = np.linspace(time[0], time[-1], len(time))
     angles = smooth(recording.angles)
     rates = np.gradient(angles, even, axis=0)
-    thin = max(1, int(rate / (_OVERSAMPLING * bandwidth)))
-    motion = scipy.interpolate.make_interp_spline(even[::thin], poses_of(guess, angles[::thin], source), k=5)
-    at = even[::thin]
+    stride = max(1, int(rate / (_OVERSAMPLING * bandwidth)))
+    motion = scipy.interpolate.make_interp_spline(even[::stride], poses_of(guess, angles[::stride], source), k=5)
+    at = even[::stride]
     at = at[(at > at[0] + _EDGE / bandwidth) & (at < at[-1] - _EDGE / bandwidth)]
     middle = np.searchsorted(even, at - 0.5 / rate)
     window = 2 * int(_SMEAR * rate / bandwidth) + 1
-    # Smallest |rate| around an instant, not above zero where the crank reverses.
+    # Smallest |rate| in a window around an instant; zero or negative if the crank reverses in the window.
     slowest = np.maximum(
         scipy.ndimage.minimum_filter1d(rates, window, axis=0), -scipy.ndimage.maximum_filter1d(rates, window, axis=0)
     )
     exact = samples_of_motion(guess, at, (motion(at), motion(at, 1), motion(at, 2)), recording.gravity, source)
-    # The filter smears friction as it does the torques.
+    # Dry friction passes the same filter as the torques.
     exact.columns[..., COULOMB] = smooth(np.sign(rates))[middle][..., None] * np.eye(LEG_COUNT)
-    used, repeats = slowest[middle] > SLOW, rate / (2.0 * bandwidth * thin)
+    used, repeats = slowest[middle] > SLOW, rate / (2.0 * bandwidth * stride)
     samples = replace(exact, used=used, repeats=repeats)
     return samples, lambda rows: scipy.interpolate.make_interp_spline(even, smooth(rows), k=3)
 
@@ -325,7 +329,7 @@ def samples_of_motion(
     gravity: float,
     source: str = "motion",
 ) -> Samples:
-    """Equations of an exact motion, without torques: inverse dynamics once for every parameter of the bodies."""
+    """Equations of an exact motion, without torques; calls inverse dynamics once for every body parameter."""
     pose, rate, _ = motion
     bodies = np.vstack([np.zeros(14), np.eye(14)])
     known, *torques = (inverse_dynamics(_body_record(guess, row), *motion, gravity) for row in bodies)
@@ -337,7 +341,7 @@ def samples_of_motion(
 
 
 def merge_samples(parts: Sequence[Samples]) -> Samples:
-    """Samples of several recordings as one."""
+    """Joins the samples of several recordings."""
     ends = np.cumsum([0, *(len(part.time) for part in parts)]).tolist()
     arrays = ("time", "measured", "columns", "known", "rates", "used")
     joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
@@ -351,17 +355,17 @@ def merge_samples(parts: Sequence[Samples]) -> Samples:
 
 
 def poses_of(guess: RobotParameters, angles: np.ndarray, source: str) -> np.ndarray:
-    """Poses (n, 6) [rad, m] of crank angles (n, 6) [rad], followed from home in a few steps."""
+    """Poses (n, 6) [rad, m] of crank angles (n, 6) [rad], by forward kinematics in a few steps from home."""
     home = inverse_kinematics(guess, guess.home_pose)
-    pose, stray = np.broadcast_to(guess.home_pose, angles.shape), np.inf
+    pose, misfit = np.broadcast_to(guess.home_pose, angles.shape), np.inf
     try:
         for share in np.linspace(0.0, 1.0, _HOMOTOPY + 1)[1:]:
             pose = forward_kinematics(guess, home + share * (angles - home), pose)
-        off = inverse_kinematics(guess, pose) - angles
-        stray = float(np.abs(np.arctan2(np.sin(off), np.cos(off))).max())
+        error = inverse_kinematics(guess, pose) - angles
+        misfit = float(np.abs(np.arctan2(np.sin(error), np.cos(error))).max())
     except (ForwardKinematicsError, UnreachablePoseError):
         pass
-    if stray > 1e-6:
-        allowed = "readings of the guessed robot, in radians, or in degrees if the columns are named so"
+    if misfit > 1e-6:
+        allowed = "angles that the guessed robot can reach, in radians, or in degrees in columns that end in _deg"
         raise ConfigurationError(source, "crank angles at which the robot cannot be assembled", allowed)
     return pose

@@ -21,9 +21,9 @@ from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.controller import Controller, controller_parts
 
 REASONS = ", ".join(f'"{reason}"' for reason in FAILURES)
-REPLAYED = 1.0  # [s] of readings in `replay.csv`, or the whole motion where it is shorter.
+REPLAYED = 1.0  # [s] of readings in `replay.csv`, at most.
 SWING = 1e-4  # [rad, m] by which those readings are off the reference, so that there is something to control.
-MOST_ROWS = 100_000  # Of a reference's table.
+MOST_ROWS = 100_000  # Largest number of rows in the table of a reference.
 
 
 def c_name(name: str) -> str:

@@ -19,7 +19,7 @@ from stewart_drake.export.types import Array, Constant, Local, Scalar, Struct, T
 if TYPE_CHECKING:
     from stewart_drake.export.program import Program
 
-FIELDS = ("first", "second", "third", "fourth")  # Of the struct in which a function returns several numbers.
+FIELDS = ("first", "second", "third", "fourth")  # Fields of the struct in which a function returns several numbers.
 BINARY = {ast.Add: ("+", c.SUM), ast.Sub: ("-", c.SUM), ast.Mult: ("*", c.PRODUCT), ast.Div: ("/", c.PRODUCT)}
 _COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 _MATH: dict[Any, str] = {np.arcsin: "asin", np.arccos: "acos", np.arctan2: "atan2", np.abs: "fabs", abs: "fabs"}
@@ -42,7 +42,7 @@ class Expressions:
     # --- names and lines ---
 
     def fresh(self, hint: str) -> str:
-        """A name that nothing else has."""
+        """A new name in this function."""
         name = next(x for x in (hint, *(f"{hint}_{n}" for n in range(1, 100))) if x not in self.taken)
         self.taken.add(name)
         return name
@@ -52,11 +52,11 @@ class Expressions:
         self.lines.append(self.indent + text)
 
     def unless_written(self, root: str | None, text: str, otherwise: str = "") -> str:
-        """Text for a part of an argument that is not changed, or of a constant; marked until that is known."""
+        """`text` if the argument `root` is never written, else `otherwise`; a placeholder until that is known."""
         return f"\0{root}\1{text}\1{otherwise}\0" if root else otherwise if root == "" else text
 
     def mark(self, value: Value) -> None:
-        """Remembers that an argument is changed."""
+        """Notes that an argument is written."""
         if isinstance(value, (Array, Struct)):
             if value.root is None:
                 raise Untyped("an assignment to a constant")

@@ -119,7 +119,7 @@ def _unit(
 
 
 def _library(prefix: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
-    """Its place in the archive and the library; None without a compiler, for who runs it to compile the sources."""
+    """Path in the archive and content of the library; None without a compiler: the importer compiles the sources."""
     compiler, system = shutil.which("cc") or shutil.which("gcc"), platform.system().lower()
     if compiler is None or system not in ("linux", "darwin"):
         return None

@@ -1,8 +1,9 @@
 """Compiled laws as C99: a translation of their source, function by function, that people can read.
 
-The laws are a small subset of Python, see docs/export.md, with the types of their annotations. Names, docstrings and
-comments stay. A function of arrays without a size in its annotations is printed once for each size. Numbers come out
-as numba computes them: in the same order, with its rules for powers, `min` and NaN.
+The laws are written in a small subset of Python, see docs/export.md; their annotations give the types. Names,
+docstrings and comments are kept. If an annotation leaves the size of an array open, the function is printed for every
+size that it is called with. The C code computes as numba does: in the same order, with the same rules for powers, `min`
+and NaN.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _HELPERS = {
 
 
 def from_template(file: str, words: Mapping[str, str]) -> str:
-    """A template with words in the places of their names."""
+    """The text of a template, with every `@NAME@` replaced by `words[NAME]`."""
     return re.sub(r"@(\w+)@", lambda match: words[match[1]], (_TEMPLATES / file).read_text(encoding="utf-8"))
 
 
@@ -38,19 +39,17 @@ class Program:
     """The laws that have been printed so far, and what they need."""
 
     def __init__(self) -> None:
-        self._defined: dict[str, Any] = {}  # Constants of the source by name.
-        self._types: dict[str, str] = {}  # Texts of structs by name, inner ones first.
-        self._structs: dict[StructType, str] = {}
-        self._tables: dict[str, str] = {}  # Texts of constant arrays and records by name.
-        self._helpers: set[str] = set()
-        self._functions: dict[str, str] = {}  # Texts by name, callees first.
-        self._signatures: dict[Any, c.Signature] = {}
-        self._owners: dict[str, Any] = {}
-
-    # --- what the source names ---
+        self._defined: dict[str, Any] = {}  # Name of a constant -> value; printed as `#define`.
+        self._types: dict[str, str] = {}  # Name of a struct -> its definition; inner ones first.
+        self._structs: dict[StructType, str] = {}  # Type of a record -> name of its struct.
+        self._tables: dict[str, str] = {}  # Name of a constant array or record -> its definition.
+        self._helpers: set[str] = set()  # Names of the functions of helpers.c that are called.
+        self._functions: dict[str, str] = {}  # Name of a function -> its definition; callees first.
+        self._signatures: dict[Any, c.Signature] = {}  # Python function and types of arguments -> signature in C.
+        self._named: dict[str, Any] = {}  # Name in C -> the Python function that took it first.
 
     def struct(self, of: StructType) -> str:
-        """Name in C of a record's type: that of its class."""
+        """Name of a record's type in C: the class's name in snake case."""
         if of in self._structs:
             return self._structs[of]
         comments, text = field_comments(of.kind), ""
@@ -66,7 +65,7 @@ class Program:
         return name
 
     def result(self, kinds: Sequence[str]) -> str:
-        """Type in C of what a function returns."""
+        """Return type of a function in C; a struct for several results."""
         if len(kinds) < 2:
             return kinds[0] if kinds else "void"
         name = f"result_{''.join(kind[0] for kind in kinds)}"
@@ -75,7 +74,7 @@ class Program:
         return f"struct {name}"
 
     def constant(self, names: Sequence[str], value: Any, module: str) -> c.Scalar:
-        """A constant of the source, under its name."""
+        """A constant with its name in the source, or the plain number if that name has another value already."""
         known, name = number(value), "_".join(names).strip("_").upper()
         if known.text in ("INFINITY", "-INFINITY", "NAN", "true", "false") or value is np.pi:
             return known
@@ -88,14 +87,14 @@ class Program:
         """A constant array."""
         kind = "double" if values.dtype.kind == "f" else "int"
         sizes = "".join(f"[{size}]" for size in values.shape)
-        return Array(kind, self._kept(kind, hint, sizes, braced(values)), values.shape, root=None)
+        return Array(kind, self._table_name(kind, hint, sizes, braced(values)), values.shape, root=None)
 
     def constant_record(self, hint: str, record: np.ndarray, of: StructType) -> Struct:
         """A constant record."""
-        return Struct(of, f"&{self._kept(f'struct {self.struct(of)}', hint, '', filled(record))}", None)
+        return Struct(of, f"&{self._table_name(f'struct {self.struct(of)}', hint, '', filled(record))}", None)
 
-    def _kept(self, kind: str, hint: str, sizes: str, value: str) -> str:
-        """Name of a constant with a value: of one that there is, or of a new one."""
+    def _table_name(self, kind: str, hint: str, sizes: str, value: str) -> str:
+        """Name of a constant with this value; equal constants share one."""
         for name, text in self._tables.items():
             if text == f"static const {kind} {name}{sizes} = {value};":
                 return name
@@ -104,12 +103,12 @@ class Program:
         return name
 
     def helper(self, name: str) -> str:
-        """A function that C may not have, to be printed."""
+        """Marks a function of helpers.c as used, so that it is printed; returns its name."""
         self._helpers |= {name} & _HELPERS.keys()
         return name
 
     def function(self, function: Any, given: Sequence[Value]) -> c.Signature:
-        """A function for arguments like these, printed if it has not been."""
+        """Signature in C of a function for arguments of these types; prints the function at the first call."""
         source, function = source_of(function), getattr(function, "py_func", function)
         arguments = source.tree.args.args
         if len(arguments) != len(given):
@@ -125,7 +124,7 @@ class Program:
         key = function, parameters
         if key not in self._signatures:
             name = function.__name__.strip("_")
-            if self._owners.setdefault(name, function) is not function or name in RESERVED:
+            if self._named.setdefault(name, function) is not function or name in RESERVED:
                 name = f"{function.__module__.rsplit('.')[-1]}_{name}"
             types = zip(parameters, (source.types[argument.arg] for argument in arguments), strict=True)
             free = dict.fromkeys(x.shape for x, kind in types if kind is np.ndarray and isinstance(x, Array))
@@ -136,7 +135,7 @@ class Program:
         return self._signatures[key]
 
     def text(self) -> str:
-        """All that has been printed, in an order that C takes."""
+        """The whole program, definitions before their use."""
         names = "\n".join(f"#define {name} {number(value).text}" for name, value in self._defined.items())
         helpers = [text for name, text in _HELPERS.items() if name in self._helpers]
         blocks = [names, *self._types.values(), *self._tables.values(), *helpers, *self._functions.values()]
@@ -144,13 +143,13 @@ class Program:
 
 
 def _free(hint: str, *taken: Any) -> str:
-    """A name that none of these has, nor the templates."""
+    """The name `hint`, with a number if it is taken already or used in a template."""
     used = {"initial", "signals", "signal_at", "run_parts", "end_parts", "has_room"}.union(*taken)
     return next(name for name in (hint, *(f"{hint}_{n}" for n in range(2, 100))) if name not in used)
 
 
 def braced(values: Any) -> str:
-    """Numbers as C initialises an array with them; zeros at the end are left out, as C adds them."""
+    """A C initialiser of an array or number. Zeros at the end are left out: C fills an array with zeros."""
     if np.ndim(values) == 0:
         return number(values).text
     rows = list(values)
@@ -163,7 +162,7 @@ def braced(values: Any) -> str:
 
 
 def filled(record: np.ndarray) -> str:
-    """A record as C initialises one; fields of zeros are left out, as C adds them."""
+    """A C initialiser of a record. Fields that are zero are left out: C sets them to zero."""
     values = {name: record[name] for name in record.dtype.names or ()}
     texts = {name: filled(value) if value.dtype.names else braced(value[0]) for name, value in values.items()}
     some = [name for name, value in values.items() if np.any(value.view(np.float64))] or [next(iter(values))]

@@ -32,9 +32,9 @@ class Source(NamedTuple):
 
     file: str
     tree: ast.FunctionDef
-    comments: dict[int, str]  # By line; those on separate lines.
-    types: dict[str, Any]  # Of arguments and result.
-    scope: dict[str, int]  # Variables that C can declare where they are set first, and the lines of that.
+    comments: dict[int, str]  # Line -> comment; only comments on a line of their own.
+    types: dict[str, Any]  # Types of the arguments, and of the result as `return`.
+    scope: dict[str, int]  # Variable -> line of its first assignment, if C can declare it there.
     leaking: set[str]  # Variables of loops that are used outside of them.
     avoided: frozenset[str]  # Names that no variable can have.
 

@@ -1,4 +1,4 @@
-"""Statements of a law as C, and the function that they are."""
+"""Prints the statements of a law, and its function, in C."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ WIDTH = 110
 
 
 class Statements(Expressions):
-    """A function that is being printed, statement by statement."""
+    """Prints one function, statement by statement."""
 
     def text(self, name: str, parameters: Sequence[Value]) -> tuple[c.Signature, str]:
-        """The function's name, the types of its results, which arguments it writes; and its text."""
+        """Signature (name, types of the results, numbers of the arguments that it writes) and text of the function."""
         tree, self.top = self.source.tree, list[str]()
         self.result = c.result_kinds(self.source.types.get("return", object))
         arguments = [argument.arg for argument in tree.args.args]
@@ -40,13 +40,14 @@ class Statements(Expressions):
         head = f"static {self.program.result(self.result)} {name}({', '.join(heads) or 'void'})"
         docstring, place = ast.get_docstring(tree) or "", f"{self.source.file}, {tree.name}"
         note = comment(f"{docstring}\n\n{place}" if "\n" in docstring else f"{docstring}\n{place}".strip())
+        # Placeholders of `unless_written`: argument, text if it is not written, text if it is.
         marks = re.compile("\0(.*?)\1(.*?)\1(.*?)\0")
         lines = (marks.sub(lambda m: m[3] if m[1] in self.written else m[2], x) for x in (*self.top, *self.lines))
         body = "\n".join(map(wrapped, lines))
         return (name, self.result, written), f"{note}{wrapped(head)}\n{{\n{body}\n}}"
 
     def statements(self, body: Sequence[ast.stmt]) -> None:
-        """Statements, with the comments before them."""
+        """Prints statements and the comments before them."""
         for node in body:
             notes = [self.source.comments.get(line, "") for line in range(self.line + 1, node.lineno)]
             self.lines += comment("\n".join(filter(None, notes)), self.indent).splitlines()
@@ -141,9 +142,9 @@ class Statements(Expressions):
     def _unpack(self, targets: ast.Tuple, given: ast.expr) -> None:
         value = self.value(given)
         if not isinstance(value, TupleType):
-            raise Untyped("an assignment to several names of what is no tuple")
+            raise Untyped("several names on the left of one value; assign a tuple")
         items = list(self.named(value, "result"))
-        # All of the right side comes first: what an assignment before may change is kept.
+        # Python evaluates the whole right side first. So a value that an earlier assignment may change is copied.
         names, places = set[str](), False
         for k, (target, item) in enumerate(zip(targets.elts, items, strict=True)):
             text = item.text if isinstance(item, Scalar) and isinstance(given, ast.Tuple) else ""
@@ -174,20 +175,21 @@ class Statements(Expressions):
     def _name(self, name: str, value: Value) -> None:
         if name == "_":
             return
-        text, before, here = self.c_name(name), self.values.get(name), self.source.scope.get(name) == self.line
+        text, before = self.c_name(name), self.values.get(name)
+        declared_here = self.source.scope.get(name) == self.line
         if isinstance(value, (Scalar, Constant)):
             value = self.scalar(value)
-            if before is None and not here:
+            if before is None and not declared_here:
                 self.top.append(f"    {value.kind} {text} = {'false' if value.kind == 'bool' else '0'};")
             elif before is not None and getattr(before, "kind", "") != value.kind:
                 kinds = f"{c.described(before)} before and {c.described(value)} here"
                 raise Untyped(f"`{name}`, {kinds}; write `0.0` or `float(...)`, or take two names")
-            self.emit(f"{f'{value.kind} ' if before is None and here else ''}{text} = {value.text};")
+            self.emit(f"{f'{value.kind} ' if before is None and declared_here else ''}{text} = {value.text};")
             self.values[name] = Scalar(value.kind, text)
         elif isinstance(value, (Array, Struct)) and value.pointer in (text, getattr(before, "pointer", "")):
             self.values[name] = value
-        elif before is not None or not (here or isinstance(value, Struct)):
-            raise Untyped(f"another array or record under the name `{name}`, or one that is used after its block")
+        elif before is not None or not (declared_here or isinstance(value, Struct)):
+            raise Untyped(f"a name, `{name}`, for two arrays or records, or for one that is used after its block")
         elif isinstance(value, Array):
             self.emit(f"{self.unless_written(value.root, 'const ')}{value.declared(text)} = {value.pointer};")
             self.values[name] = value._replace(base=text, start="0")
@@ -196,7 +198,7 @@ class Statements(Expressions):
         elif isinstance(value, TupleType):
             self.taken.discard(text)
             self.values[name] = TupleType(self.named(value, text))
-        else:  # A record in another one.
+        else:  # A record that is a field of another record: no variable in C.
             self.values[name] = value
 
     def _augassign(self, node: ast.AugAssign) -> None:
@@ -211,7 +213,7 @@ class Statements(Expressions):
 
 
 def wrapped(text: str) -> str:
-    """A line of C within the width, broken between arguments and around operators."""
+    """A line of C, wrapped to `WIDTH` between arguments or at operators."""
     if len(text) <= WIDTH or "/*" in text:
         return text
     whole = re.sub(r"(?<=[\w*]) (?=[\w*(])", "\0", text.lstrip())

@@ -19,11 +19,11 @@ NUMBERS: dict[Any, str] = {bool: "bool", int: "int", float: "double"}  # Types i
 
 
 class Untyped(Exception):
-    """What cannot be printed, and what to write instead; file and line are added by who walks the source."""
+    """A construct that cannot be printed, and what to write instead; the caller adds file and line."""
 
 
 class Scalar(NamedTuple):
-    """A number: its type in C, its text, how strongly that binds, and its value where it is known."""
+    """A number: its type in C, its text, the precedence of its outer operator, and its value if it is a constant."""
 
     kind: str
     text: str
@@ -31,7 +31,7 @@ class Scalar(NamedTuple):
     value: Any = None
 
     def within(self, binding: int) -> str:
-        """The text as an operand of an operator that binds so strongly."""
+        """The text as an operand of an operator of this precedence, in parentheses if needed."""
         return self.text if self.binding >= binding else f"({self.text})"
 
 
@@ -79,7 +79,7 @@ class Struct(NamedTuple):
 
     of: StructType
     pointer: str  # Text of a pointer to it.
-    root: str | None = ""  # As of `Array`.
+    root: str | None = ""  # See `Array.root`.
 
     @property
     def text(self) -> str:

@@ -40,7 +40,7 @@ class Signal:
 
     values: np.ndarray  # (n,) readings or torques, after the faults before.
     time: float = 0.0  # [s].
-    tick: int = 0  # Of the controller.
+    tick: int = 0  # Number of the controller's tick.
     good: np.ndarray | None = None  # (n,) readings of a sensor before a fault that keeps them.
     stale: np.ndarray | None = None  # (n,) true readings of a sensor, `delay` of the fault ago.
 

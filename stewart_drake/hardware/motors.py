@@ -1,4 +1,4 @@
-"""From a command to the cranks: delay, link and motors."""
+"""Options and laws of everything between a command and the cranks: delay, link and motors."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
     from stewart_drake.control.regression_records import Learnt
     from stewart_drake.hardware.presets import Preset
 
-_STREAM = 3  # Of random numbers, see `faults.tick_numbers`.
+_STREAM = 3  # Number of the stream of random numbers, see `faults.tick_numbers`.
 SILENCE = 0.1
-"""[s] without a command after which the robot counts as uncontrolled; its weight falls by 5 cm in that time."""
+"""[s] without a command after which the robot counts as uncontrolled. In free fall it would fall 5 cm in this time."""
 
 
 class Torque(Record):
-    """State of a part with one output."""
+    """State of a part whose only output is `torque`."""
 
     torque: Vec6  # [N m]
 
 
 class Command(Record):
-    """State of a part with one output."""
+    """State of a part whose only output is `command`."""
 
     command: Vec6  # In the motors' unit.
 
@@ -47,8 +47,8 @@ class Command(Record):
 class LinkOptions(Section, key="link"):
     """Faults of the link that carries commands to the motors; none by default.
 
-    After a dropped command the last one holds. A late command arrives a step of the plant after its tick. A tick that
-    is both is dropped.
+    If a command is dropped, the motors keep the one before. A late command arrives one step of the plant after its
+    tick. A command that is both dropped and late is dropped.
     """
 
     drop_probability: Share = 0.0
@@ -66,10 +66,12 @@ class LinkOptions(Section, key="link"):
 
     @cached_property
     def perfect(self) -> bool:
+        """Whether all commands arrive unchanged and in time."""
         imperfect = self.drop_probability or self.late_probability or self.dropped or self.faults
         return not imperfect and self.stop_time is None
 
     def fate(self, tick: int, time: float) -> Literal["arrives", "dropped", "late"]:
+        """What happens to the command of a tick at a time [s]."""
         drop, late = tick_numbers(self.seed, _STREAM, tick, 2, normal=False)
         stopped = self.stop_time is not None and time >= self.stop_time
         if stopped or tick in self.dropped or drop < self.drop_probability:
@@ -77,16 +79,21 @@ class LinkOptions(Section, key="link"):
         return "late" if late < self.late_probability else "arrives"
 
     def silent_since(self, ticks: int, period: float) -> float | None:
-        """Time [s] since which no command has arrived, after so many ticks of a period [s]; None if one just has."""
+        """Time [s] of the first of the dropped commands, if none has arrived for `SILENCE`; else None.
+
+        Args:
+            ticks: Number of ticks so far.
+            period: [s] of a tick.
+        """
         last = ticks - 1
         while last >= 0 and self.fate(last, last * period) == "dropped":
             last -= 1
         return (last + 1) * period if last < 0 or (ticks - 1 - last) * period > SILENCE else None
 
     def part(self, period: float, time_step: float, initial: np.ndarray) -> Part:
-        """The link: commands of every period [s] -> the command in force at every step [s] of the plant.
+        """The link as a part: a command per period [s] -> the command in force, per `time_step` [s] of the plant.
 
-        The first one is `initial` (6,).
+        `initial` (6,) is in force until the first command arrives.
         """
         per_tick = steps_per("controller.period", period, time_step)
         constants, inputs = {"options": self, "steps_per_tick": per_tick}, {"torque": 6, "time": 1}
@@ -97,13 +104,13 @@ class LinkOptions(Section, key="link"):
 class LinkState(Record):
     """State of the link between controller and motors."""
 
-    torque: Vec6  # [N m] in force.
-    age: Annotated[np.ndarray, (1,)]  # [ticks] of it, counted from the newest tick.
-    steps: float  # Done.
-    pending: Vec6  # [N m] late command.
-    due: float  # Step at which that arrives, 0 for none.
+    torque: Vec6  # [N m] the command in force.
+    age: Annotated[np.ndarray, (1,)]  # [ticks] age of the command in force; 0 for that of the newest tick.
+    steps: float  # Number of steps of the plant so far.
+    pending: Vec6  # [N m] a late command.
+    due: float  # Step at which the late command arrives; 0 if there is none.
     pending_tick: float  # Tick of the late command.
-    tick: float  # Of the command in force.
+    tick: float  # Tick of the command in force.
 
 
 def _link(options: LinkOptions, steps_per_tick: int, torque: np.ndarray, time: np.ndarray, state: LinkState) -> None:
@@ -132,7 +139,7 @@ class DelayState(Record):
 
 
 def delay_part(ticks: int, initial: np.ndarray, name: str = "command_delay") -> Part:
-    """A constant delay [ticks] of `value` (n,), which is `initial` until then."""
+    """A part that delays the signal `value` (n,) by a number of ticks; its output begins with `initial` (n,)."""
     size = len(initial)
     first = DelayState.sized(ticks=ticks, size=size).new(value=initial, pending=initial)
     return Part(name, _delay, {}, {"value": size}, ("value",), first)
@@ -144,7 +151,7 @@ def _delay(value: Vector, state: DelayState) -> None:
 
 @njit
 def _shift(pending: Matrix, value: Vector, out: Vector) -> None:
-    """Takes the oldest row, and appends a new one."""
+    """Copies the oldest row to `out`, moves the others up, and appends `value`."""
     copy_to(out, pending[0])
     for row in range(len(pending) - 1):
         copy_to(pending[row], pending[row + 1])
@@ -166,15 +173,15 @@ def within_limit(torque: np.ndarray, limit: float | np.ndarray) -> np.ndarray:
 
 
 class MotorOptions(Section, ABC, key="motors"):
-    """Base of the options of motors: all that the loop asks of any kind."""
+    """Base of the options of motors. A kind must define `part`; the other members have defaults for torque motors."""
 
     kind_keys = frozenset({"resolution"})
     command_quantity: ClassVar[str] = "torque"
-    """Quantity of a command."""
+    """Physical quantity of a command."""
     unit: ClassVar[str] = "N m"
-    """Of a command."""
+    """Unit of a command."""
     holds: ClassVar[bool] = False
-    """Whether a command is an angle, which the motor's controller holds."""
+    """Whether a command is an angle, for a position loop in the motor."""
     by_torque: ClassVar[bool] = True
     """Whether a command is a torque."""
     dead = InOtherKinds(None)
@@ -185,13 +192,14 @@ class MotorOptions(Section, ABC, key="motors"):
 
     @abstractmethod
     def part(self, robot: RobotParameters, time_step: float) -> Part:
-        """The motors: `command` (6,) -> `torque` (6,) [N m], within their limit; `time_step` is the plant's [s].
+        """The motors as a part, which runs at every `time_step` [s] of the plant.
 
-        Further inputs may be `crank_state` (12,), angles [rad] and rates [rad/s], and `time` (1,) [s].
+        Inputs: `command` (6,); if needed also `crank_state` (12,), angles [rad] and rates [rad/s], and `time` (1,) [s].
+        Output: `torque` (6,) [N m], within the limits of the motors.
         """
 
     def inverse_parts(self, context: LoopContext) -> tuple[Part, ...]:  # noqa: ARG002 - the identity needs nothing
-        """The motors' inverse model: `torque` (6,) [N m] -> `command` (6,); none if commands are torques."""
+        """Parts of the inverse model, from `torque` (6,) [N m] to `command` (6,); none if commands are torques."""
         return ()
 
     def initial_command(self, context: LoopContext) -> np.ndarray:
@@ -199,11 +207,11 @@ class MotorOptions(Section, ABC, key="motors"):
         return context.initial_torque
 
     def command_limits(self, robot: RobotParameters) -> np.ndarray:
-        """(2, 6) lowest and highest commands."""
+        """Lowest and highest commands, (2, 6)."""
         return np.stack([-robot.effort_limits, robot.effort_limits]) / self.gains
 
     def torque_of(self, signals: Mapping[str, np.ndarray]) -> np.ndarray | None:
-        """The torque (n, 6) [N m] that was asked of the motors, in a run's signals: by the controller or by servos."""
+        """Torque (n, 6) [N m] in the signals of a run: the command, or for servos that of their position loops."""
         return signals.get("torque" if self.by_torque else "torque_applied")
 
     def available(self, robot: RobotParameters, rates: np.ndarray) -> np.ndarray:
@@ -212,39 +220,40 @@ class MotorOptions(Section, ABC, key="motors"):
 
     @property
     def gains(self) -> np.ndarray:
-        """Torques (6,) [N m] for a unit of command."""
+        """Torques (6,) [N m] per unit of a command."""
         return np.ones(6)
 
     def with_learnt(self, value: Learnt) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
-        """Their keys updated by a `control.adaptation.Learnt`; viscous and Coulomb friction (6,) of the model.
+        """Keys of the motors with the values of a `control.adaptation.Learnt`, and its friction.
 
-        Motors that take torques have no such keys.
+        Returns the changed keys (none for motors that take torques), and viscous and Coulomb friction (6,) of the
+        model.
         """
         return {}, value.viscous, value.coulomb
 
     @property
     def dead_time(self) -> float:
-        """[s] from a command's arrival to its effect."""
+        """[s] from the arrival of a command to its effect."""
         return 0.0
 
     @property
     def gear(self) -> Preset | None:
-        """The preset of commercial motors, for the friction of their gear."""
+        """Preset of commercial motors, which has the friction of their gears; None without a preset."""
         return None
 
     @property
     def nominal(self) -> MotorOptions:
-        """The same motors without imperfections, as a controller's model has them."""
+        """The same motors without imperfections, for the model of a controller."""
         return self
 
     @property
     def code(self) -> CodePath | None:
-        """The user's code that it runs; None for a kind of the package."""
+        """The user's code, for a kind that is defined by a user; None for a kind of the package."""
         return None
 
     @property
     def perfect(self) -> bool:
-        """Whether they give the command, within their limit."""
+        """Whether the torque is exactly the command, within the limit."""
         return False
 
 
@@ -276,7 +285,7 @@ class TorqueMotors(MotorOptions):
         return self.ripple == 0.0 and self.resolution == 0.0 and self.dead is None and not self.faults
 
     def torque(self, command: np.ndarray, angles: np.ndarray, _: np.ndarray, time: float) -> np.ndarray:
-        """Torques (6,) [N m] of commands (6,), before the limit; crank angles (6,) [rad], time [s]."""
+        """Torques (6,) [N m] before the limit, for commands (6,) [N m], crank angles (6,) [rad] and a time [s]."""
         torque = np.array(command, dtype=float)
         if self.resolution > 0.0:
             torque = np.rint(torque / self.resolution) * self.resolution
@@ -313,7 +322,7 @@ class UserMotors(UserMade, MotorOptions, key="motors"):  # type: ignore[misc]
 
         def torque(command: np.ndarray, angles: np.ndarray, rates: np.ndarray, time: float) -> np.ndarray:
             with guard:
-                # Copies, which it may keep or change.
+                # Copies, because the user's code may keep or change them.
                 result = motors.torque(command.copy(), angles.copy(), rates.copy(), time)
             torque = self.numbers(result)
             if torque.shape != (6,):
@@ -326,7 +335,7 @@ class UserMotors(UserMade, MotorOptions, key="motors"):  # type: ignore[misc]
 
 
 def _motor_part(torque: Callable[..., np.ndarray], robot: RobotParameters, time_step: float) -> Part:
-    """Motors by a function of command, angles, rates and time, which gives torques before the limit."""
+    """Motors as a part, from a function of command, angles, rates and time that returns torques before the limit."""
     constants, inputs = {"torque": torque, "limit": robot.effort_limits}, {"command": 6, "time": 1, "crank_state": 12}
     return Part("motors", _motor_torque, constants, inputs, ("torque",), Torque.new(), period=time_step)
 

@@ -35,7 +35,7 @@ class RoundingParams(Record):
     """Parameters of the rounding."""
 
     count: float  # [rad]
-    shares: Vec2  # Of the last two errors, added to the next command.
+    shares: Vec2  # Shares of the last two errors that are added to the next command.
     length: float  # [m] for a rotation of the platform by 1 rad, as an error.
 
 

@@ -18,7 +18,7 @@ from stewart_drake.loop.part import Part
 from stewart_drake.loop.user_parts import UserParts
 from stewart_drake.robot.leg import LARGEST_SIZE
 
-_STREAM = 1  # Of random numbers, see `faults.tick_numbers`.
+_STREAM = 1  # Number of the stream of random numbers, see `faults.tick_numbers`.
 
 
 class SensorOptions(Section, key="sensors"):

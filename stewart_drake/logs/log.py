@@ -27,8 +27,8 @@ MAX_ROWS = 2_000_000
 """Largest number of rows of a run: with 140 numbers in a row 2.2 GB of memory, and 33 minutes at steps of 1 ms."""
 
 Report = Mapping[str, Any]  # Named values as in JSON.
-_VERSION = 4  # Of the file format.
-_MAX_BYTES = 10**10  # Of a file.
+_VERSION = 4  # Version of the file format.
+_MAX_BYTES = 10**10  # Largest size of a file.
 
 
 def _columns(name: str, state_names: tuple[str, ...]) -> list[tuple[str, str]]:

@@ -40,14 +40,14 @@ OUTCOMES: Mapping[str, str] = {
 SETTLING, SETTLING_SHARE = 3.0, 0.6  # [s], share of the run; the shorter of both is left out at the start.
 SHORTEST = 0.5  # [s] Errors of shorter runs are not compared with the motion.
 WINDOW = 2.0  # [s] Least length of a window for RMS values, half a slow breath.
-LEAST_MOTION = 0.003  # Of the characteristic length, 0.33 mm for the paper's robot. A load moves a robot by as much.
+LEAST_MOTION = 0.003  # Motion over the characteristic length: 0.33 mm for the paper's robot. A load moves it as much.
 MUCH_SATURATION = 0.01  # Share of torques at the limit, for a warning.
 POORLY_FOLLOWED = 0.5  # Error over motion of a completed run, for a warning.
 LARGE_GAP = 0.1  # Loop gap over the RMSE of the position, for a warning: the error may depend on the time step.
 RIPPLE = 2.0  # [Hz] Velocity errors of higher frequencies are ripple.
 RIPPLE_PERIODS = 4.0  # Least number of periods of that frequency in the second half.
 NOISES = 3.0  # Standard deviations of a reading, added to the allowed error of a robot that holds its pose.
-AT_REST = 1e-6  # Of a motion's largest rate; at lower rates it rests.
+AT_REST = 1e-6  # Rate over the largest rate of a motion, below which the motion rests.
 EXCURSION = 10.0  # Peak over RMS of the allowed error of a robot that holds its pose.
 LOOK, MOST_LOOKS = 0.005, 100_000  # [s] between poses that are checked against the limits, and their largest number.
 REST, CUT = 0.25, 2.0  # Rest after the motion over the run, and motion over run, for a warning.
@@ -125,7 +125,7 @@ class RunRows:
 
     @property
     def worst_half_rms_norms(self) -> np.ndarray:
-        """(2,) [rad, m] the same of the half where it is larger."""
+        """(2,) [rad, m] the same for the first or the second half, whichever is larger."""
         first = np.linalg.norm(self._rms(self.tick & ~self.second_half).reshape(2, 3), axis=1)
         return np.maximum(first, self.second_half_rms_norms)
 

@@ -13,7 +13,7 @@ from stewart_drake.plant.plant_options import ANGLES, POSE, RATE
 
 LEG_NAMES = tuple(map(str, range(6)))
 ALL = slice(None)
-DISPLAY_UNITS = ("deg",) * 3 + ("mm",) * 3  # Of a pose in tables and figures.
+DISPLAY_UNITS = ("deg",) * 3 + ("mm",) * 3  # Units of a pose in tables and figures.
 SCALES = np.array([180.0 / np.pi] * 3 + [1e3] * 3)  # Factors from [rad, m] to `DISPLAY_UNITS`.
 
 
@@ -25,7 +25,7 @@ class Signal(NamedTuple):
     text: str
     source: str | None = None  # Name of the loop's signal; None for the same name.
     part: slice = ALL  # Columns of the source.
-    title: str = ""  # Of a figure.
+    title: str = ""  # Title of a figure.
 
     def of(self, values: np.ndarray) -> np.ndarray | None:
         """Values (n, k) of the signal from those of its source; None if the number of columns differs."""

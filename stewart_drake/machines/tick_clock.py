@@ -8,12 +8,12 @@ from statistics import median
 
 from stewart_drake.machines.machine import Reading
 
-WINDOW = 2.0  # [s] of readings over which the tick is averaged. A fitted line would be bent by one late reading.
-SHORT_WINDOW = 0.2  # [s] A tick that has changed is found over these.
-CHANGED = 0.25  # Relative change of both mean and median over the short window, from which on the tick has changed.
+WINDOW = 2.0  # [s] of readings over which the tick is averaged. A line fit would be sensitive to one late reading.
+SHORT_WINDOW = 0.2  # [s] of readings over which a change of the tick is detected.
+CHANGED = 0.25  # Relative change of both mean and median over the short window, above which the tick has changed.
 INITIAL_WEIGHT = 0.5  # [s] of readings for which the initial tick counts.
-PAUSE = 0.1  # [s] without a reading, beyond the ticks counted, that is a pause.
-LATE = 1.5  # [ticks] between two readings from which on the second is late, or one between them was lost.
+PAUSE = 0.1  # [s] without a reading, beyond the expected ticks, that counts as a pause.
+LATE = 1.5  # [ticks] between two readings above which the second is late, or one between them was lost.
 TICK_TOLERANCE = 0.02  # Relative difference of the tick that is not reported.
 LATE_TOLERANCE = 0.01  # Share of late readings that is not reported.
 

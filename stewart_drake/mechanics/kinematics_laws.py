@@ -55,7 +55,7 @@ class Legs(Record):
     line: Mat6  # [(R p_i) x e_l, e_l], rows of (14) transposed.
     lever: Vec6  # [m] torque of a motor over force in its rod.
     transmission: Vec6  # e_l . e_N
-    cosine: Vec6  # Of theta.
+    cosine: Vec6  # Cosine of theta.
     sine: Vec6
     reach_margin: Vec6  # 1 - |C| / sqrt(A^2 + B^2); negative where a rod cannot span.
 

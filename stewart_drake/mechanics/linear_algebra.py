@@ -10,11 +10,11 @@ from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Matrix, Vector
 
 JACOBI_SWEEPS = 30
-"""At most; six do."""
+"""Largest number of sweeps; six suffice."""
 NEWTON_STEPS = 6
-"""Five find all digits, whatever the numbers."""
+"""Steps of Newton's method; five reach full precision for all arguments."""
 DIFFERENCE_STEP = 1e-5
-"""Step of differences, in SI units: poses bend over a tenth of a metre, torques have sixteen digits."""
+"""Step of finite differences, in SI units: a compromise between truncation and rounding errors."""
 
 
 @njit

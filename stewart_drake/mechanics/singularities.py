@@ -24,14 +24,14 @@ class Distance(NamedTuple):
 
 
 PLANNED = Distance(0.2, 0.05)
-"""Of a planned motion, the default of `limits`; it leaves room for tracking errors above MONITORED."""
+"""Limit for planned motions, the default of `limits`. The distance to MONITORED is room for tracking errors."""
 MONITORED = Distance(0.1, 0.04)
-"""Where the safety layer takes over, the default of `safety`: outside of planned motions, and early enough to stop the
-robot before WEIGHT_TRUSTED."""
+"""Limit at which the safety layer takes over, the default of `safety`: outside of planned motions, and early enough to
+stop the robot before WEIGHT_TRUSTED."""
 WEIGHT_TRUSTED = Distance(0.02, 0.01)
-"""Where the safety layer no longer trusts the torque that carries the weight, and holds the last one."""
+"""Limit beyond which the torque that carries the weight is unreliable: the safety layer keeps the last reliable one."""
 CONTROLLED = Distance(0.02, 0.005)
-"""Where no controller acts: the force map, and with it every gain, is meaningless."""
+"""Limit beyond which no controller acts: the force map, and so every gain, is meaningless."""
 ASSEMBLED = 1e-6
 """[-] transmission, and sine of a rod's angle from its joint's axis, below which velocities are not defined."""
 DEAD_CENTRE = 1e-9
@@ -41,7 +41,7 @@ DEAD_CENTRE = 1e-9
 class PoseMeasures(Record):
     """Reach, distance from singularities and crank speeds at a pose."""
 
-    reach_margin: Vec6  # As in `Legs`.
+    reach_margin: Vec6  # See `Legs.reach_margin`.
     transmission: Vec6  # |e_l . e_N|, zero of a leg that cannot span.
     conditioning: float  # See `kinematics_laws.conditioning`.
     assembly_sign: float  # Sign of the determinant of the rods' lines.

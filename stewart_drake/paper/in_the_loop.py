@@ -167,7 +167,7 @@ def _figures(log: SimulationLog) -> dict[str, float | None]:
 
 
 def _friction_claims(logs: Mapping[Any, SimulationLog], duration: float) -> list[Claim]:
-    """Of the paper's motion with dry friction in the motors."""
+    """Claims on the paper's motion with dry friction in the motors."""
     roll, light = (run_metrics(logs[MAIN, who])["rmse_deg"][0] for who in (TUNER, LIGHT))
     heavy, whole = logs[MAIN, HEAVY], f"{duration:g} s"
     kept = heavy.end_time if heavy.outcome_time is None else heavy.outcome_time

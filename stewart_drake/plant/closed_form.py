@@ -25,7 +25,7 @@ from stewart_drake.plant.plant_options import MechanismOptions, foreign_state
 from stewart_drake.robot import RobotParameters
 
 SUBSTEPS = 8
-"""Of `rk4` in a step in which a motor with dry friction reverses or sticks."""
+"""Number of substeps of `rk4` in a step in which a motor with dry friction reverses or sticks."""
 
 
 class ClosedFormState(Record):

@@ -1,8 +1,8 @@
 """The mechanism in an MJCF model: finds its six legs by connectivity, and matches its frames to a robot's.
 
-A motor turns a crank; a passive joint connects it to a rod, another one the rod to the platform. Passive joints are
-balls, hinges without a motor, and `connect` equalities; or two hinges with a cross between them. Points and directions
-are in the world, in the configuration of the file.
+A leg is a motor that turns a crank, a passive joint from crank to rod, and a passive joint from rod to platform. A
+passive joint is a ball, a hinge without a motor, a `connect` equality, or two hinges with a body between them. Points
+and directions are in the world frame, in the configuration of the file.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ class Legs(NamedTuple):
     rods: list[list[int]]  # Bodies of each leg between crank and platform.
     platform: int  # Body.
     closures: list[int]  # Equalities.
-    centres: np.ndarray  # (6, 3) [m] of the circles of the cranks' tips.
-    axes: np.ndarray  # (6, 3) [-] of the motors.
-    tips: np.ndarray  # (6, 3) [m]
-    seats: np.ndarray  # (6, 3) [m] joints on the platform, where it has them.
+    centres: np.ndarray  # (6, 3) [m] centres of the circles on which the cranks' tips move.
+    axes: np.ndarray  # (6, 3) [-] axes of the motors.
+    tips: np.ndarray  # (6, 3) [m] tips of the cranks.
+    seats: np.ndarray  # (6, 3) [m] positions of the platform's joints.
     rod_lengths: np.ndarray  # (6,) [m]
 
 
 def connect_ends(model: mujoco.MjModel, data: mujoco.MjData, equality: int) -> list[tuple[int, np.ndarray]]:
-    """The two points that a `connect` joins: body, and position in the world (3,) [m]."""
+    """The two points that a `connect` joins, each with its body and its position in the world (3,) [m]."""
     ids = int(model.eq_obj1id[equality]), int(model.eq_obj2id[equality])
     if model.eq_objtype[equality] == mujoco.mjtObj.mjOBJ_SITE:
         return [
@@ -58,7 +58,7 @@ def _in_world(data: mujoco.MjData, body: int, place: np.ndarray) -> np.ndarray:
 
 
 def rigid_roots(model: mujoco.MjModel) -> np.ndarray:
-    """(nbody,) topmost body to which a body is rigidly fixed; 0 for the world."""
+    """(nbody,) for every body, the topmost body that it is rigidly fixed to; 0 for the world."""
     roots = np.arange(model.nbody)
     for body in range(1, model.nbody):
         if model.body_jntnum[body] == 0:
@@ -67,18 +67,22 @@ def rigid_roots(model: mujoco.MjModel) -> np.ndarray:
 
 
 def find_legs(model: mujoco.MjModel, motors: Collection[int]) -> Legs | int:
-    """The six legs driven by motors (joints); else the number of legs of the best platform."""
+    """The six legs driven by `motors` (joints); if there are not six, the largest number of legs of a platform."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     root, driven = rigid_roots(model), {int(model.jnt_bodyid[joint]): joint for joint in motors}
-    # Body -> its passive joints: number, equality or None, position on the body, other body, position on that.
+    # Body -> its passive joints, as tuples: number of the joint, its equality or None, position on this body, the other
+    # body, position on the other body.
     leaving: dict[int, list[Any]] = {}
     for number, (equality, ends) in enumerate(_passive(model, data, driven)):
         for (body, near), (other, far) in (ends, ends[::-1]):
             leaving.setdefault(int(root[body]), []).append((number, equality, near, int(root[other]), far))
 
     def leg(first: Any) -> Any:
-        """Crank, bodies between, its tip, seat, equalities, length of the bodies between; None if it is no leg."""
+        """Follows passive joints from a platform's joint to a crank; None if they do not lead to one.
+
+        Returns crank, bodies of the rod, tip of the crank, joint on the platform, equalities, length of the rod.
+        """
         number, equality, seat, body, place = first
         between, closures, length = [], [equality], 0.0
         while body not in driven:
@@ -107,8 +111,8 @@ def find_legs(model: mujoco.MjModel, motors: Collection[int]) -> Legs | int:
 
 
 def _passive(model: mujoco.MjModel, data: mujoco.MjData, driven: Collection[int]) -> Iterator[tuple[int | None, Any]]:
-    """Passive joints: the equality, or None in the tree; both ends, body and position (3,) [m]."""
-    # As numbers: MuJoCo's enums compare unequal to numpy's integers.
+    """Passive joints: the equality, or None for a joint of the tree; body and position (3,) [m] of both ends."""
+    # MuJoCo's enums compare unequal to numpy's integers, so they are converted.
     turning = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_HINGE)
     for body in range(1, model.nbody):
         first, count = model.body_jntadr[body], model.body_jntnum[body]
@@ -123,29 +127,29 @@ def _passive(model: mujoco.MjModel, data: mujoco.MjData, driven: Collection[int]
 class Fit:
     """Match of a model's legs and frames to a robot's."""
 
-    order: np.ndarray  # (6,) the model's leg for a leg of the robot.
+    order: np.ndarray  # (6,) number of the model's leg, by the number of the robot's leg.
     base: tuple[np.ndarray, np.ndarray]  # Rotation (3, 3) [-] and origin (3,) [m] of B in the world.
     platform: tuple[np.ndarray, np.ndarray]  # The same of P, in the configuration of the file.
-    signs: np.ndarray  # (6,) [-] of the motors' axes, in the robot's order, as all that follows.
-    angles: np.ndarray  # (6,) [rad] theta of the cranks in the configuration of the file, in any turn.
-    residual: float  # [m] largest difference.
-    worst: str  # Where it is.
+    signs: np.ndarray  # (6,) [-] -1 for a motor's axis opposite to the robot's; in the robot's order of legs.
+    angles: np.ndarray  # (6,) [rad] crank angles in the configuration of the file, up to whole turns; robot's order.
+    residual: float  # [m] largest misfit.
+    worst: str  # Quantity and leg of the largest misfit.
 
 
 def fit_frames(robot: RobotParameters, legs: Legs) -> Fit:
     """Matches shafts and platform joints by least squares over all orders of the legs.
 
-    W. Kabsch, Acta Cryst. A32 (1976) 922. Of orders that fit equally, as those of a symmetric robot, it takes the one
-    with the platform nearest to its home pose, then the one with the base nearest to the world's axes.
+    W. Kabsch, Acta Cryst. A32 (1976) 922. Several orders fit equally well if the robot is symmetric. Then the platform
+    should be near its home pose, and the base near the world's axes.
     """
     base, base_at, base_error = _rigid(robot.shaft_positions, legs.centres)
     plate, plate_at, plate_error = _rigid(robot.platform_joints, legs.seats)
     cost, home = np.sqrt(base_error + plate_error), robot.home_pose
-    turned = np.einsum("nji,njk,lk->nil", base, plate, rotation_matrix(home[:3]))
-    away = np.linalg.norm(np.einsum("nji,nj->ni", base, plate_at - base_at) - home[3:], axis=-1)
+    rotation_error = np.einsum("nji,njk,lk->nil", base, plate, rotation_matrix(home[:3]))
+    distance = np.linalg.norm(np.einsum("nji,nj->ni", base, plate_at - base_at) - home[3:], axis=-1)
     size = np.linalg.norm(robot.shaft_positions - robot.shaft_positions.mean(axis=0), axis=-1).mean()
-    near = np.trace(turned, axis1=1, axis2=2) - away / size + 0.1 * np.trace(base, axis1=1, axis2=2)
-    best = int(np.argmax(np.where(cost <= cost.min() + _SAME_FIT, near, -np.inf)))
+    score = np.trace(rotation_error, axis1=1, axis2=2) - distance / size + 0.1 * np.trace(base, axis1=1, axis2=2)
+    best = int(np.argmax(np.where(cost <= cost.min() + _SAME_FIT, score, -np.inf)))
     order, rotation = _ORDERS[best], base[best]
     arm, axes = (legs.tips - legs.centres)[order] @ rotation, legs.axes[order] @ rotation
     along, up, of_robot = robot.crank_zero_directions, robot.crank_quarter_directions, -crank_lateral(robot)
@@ -165,12 +169,15 @@ def fit_frames(robot: RobotParameters, legs: Legs) -> Fit:
 
 
 def _rigid(robot: np.ndarray, model: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rotations (n, 3, 3), shifts (n, 3) and mean square errors (n,) of points (6, 3) to all orders of others."""
-    centre, to = robot.mean(axis=0), model.mean(axis=0)
-    given, wanted = robot - centre, (model - to)[_ORDERS]
-    u, s, vt = np.linalg.svd(np.einsum("nia,ib->nab", wanted, given))
+    """Least-squares motions of the robot's points (6, 3) to the model's, for all n orders of the model's points.
+
+    Returns rotations (n, 3, 3), translations (n, 3) and mean square errors (n,).
+    """
+    robot_centre, model_centre = robot.mean(axis=0), model.mean(axis=0)
+    source, target = robot - robot_centre, (model - model_centre)[_ORDERS]
+    u, s, vt = np.linalg.svd(np.einsum("nia,ib->nab", target, source))
     s[:, 2] *= (turn := np.sign(np.linalg.det(u @ vt)))
     u[:, :, 2] *= turn[:, None]
     rotation = u @ vt
-    error = (np.sum(given**2) + np.sum(wanted[0] ** 2) - 2.0 * s.sum(axis=-1)) / LEG_COUNT
-    return rotation, to - rotation @ centre, np.maximum(error, 0.0)
+    error = (np.sum(source**2) + np.sum(target[0] ** 2) - 2.0 * s.sum(axis=-1)) / LEG_COUNT
+    return rotation, model_centre - rotation @ robot_centre, np.maximum(error, 0.0)

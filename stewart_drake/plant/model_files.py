@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 Pose = tuple[ArrayLike, ArrayLike]
 """Position (3,) [m] and roll, pitch, yaw (3,) [rad]."""
-_HOUSING_RADIUS = 3.6  # Of a motor, in multiples of the link radius: decoration.
+_HOUSING_RADIUS = 3.6  # Radius of a motor's housing over the link radius; decoration only.
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def sdf_text(
         """Poses of the six boxes of a disc."""
         return [place((0.0, 0.0, z), (0.0, 0.0, side * math.pi / 6.0)) for side in range(6)]
 
-    # Of an upright crank R_BC = Rz(yaw) Ry(-theta), exactly, without a matrix.
+    # For an upright crank R_BC = Rz(yaw) Ry(-theta) is exact; no conversion from a matrix is needed.
     crank_turns = [
         (0.0, -frames.crank_angles[leg], robot.crank_yaws[leg])
         if _upright(robot, leg)

@@ -15,7 +15,7 @@ class ModelFrames(Record):
 
     base: Mat3  # R_WB
     origin: Vec3  # [m] of B in the world.
-    signs: Vec6  # Of the motors' joints.
+    signs: Vec6  # Sign of the motor's axis in the model against the robot's.
     angles: Vec6  # [rad] theta of the cranks where their joints are zero.
     low: Vec6  # [N m] lowest torques of the motors.
     high: Vec6  # [N m] highest.

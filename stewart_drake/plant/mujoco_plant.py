@@ -1,7 +1,7 @@
 """MuJoCo as a plant: the MJCF of the scenario's robot, or any other MJCF of a rotary Stewart platform.
 
-Joints outside of the six legs, such as a body's yaw or antennas, are fixed where the file has them. Geometry counts
-only for masses: nothing collides. The model's actuators are removed; torques act on the motors' joints.
+Joints outside of the six legs, such as a body's yaw or antennas, are fixed in the configuration of the file. Geometry
+is used only for masses: nothing collides. The model's actuators are removed; torques act on the motors' joints.
 """
 
 from __future__ import annotations
@@ -34,24 +34,25 @@ if TYPE_CHECKING:
     from stewart_drake.plant.mjcf_legs import Fit
 
 _MAX_BYTES = 10_000_000
-_CLOSED, _NOT_CLOSED, _ITERATIONS = 1e-12, 1e-9, 100
-"""Error [m] of loops and pose at which `initial` ends, above which it fails, and its largest number of steps."""
-_NEAR = 3.0  # Error, over the allowed misfit of a model, below which `initial` moves the motors too.
+_CLOSED, _NOT_CLOSED = 1e-12, 1e-9
+"""Errors [m] of loops and pose: Newton's method in `initial` stops below the first and fails above the second."""
+_ITERATIONS = 100  # Steps of that method at most.
+_NEAR = 3.0  # Times `mjcf_legs.ALLOWED`: error below which that method moves the motors' joints too.
 _KEY = "plant.model_file"
 
 
 class MujocoOptions(MechanismOptions):
     """MuJoCo on an MJCF file: the robot's own, one that its maker ships, or yours; extra `mujoco`.
 
-    Legs and frames are found in the model and must be those of `robot` within 1 mm. Masses are the model's, and so are
-    friction, damping, armature and joint limits where no key says otherwise.
+    Legs and frames are found in the model and must match those of `robot` within 1 mm. Masses are those of the model.
+    So are friction, damping, armature and joint limits, unless a key changes them.
     """
 
     joints_rub: ClassVar[bool] = True
     kind: Literal["mujoco"] = "mujoco"
     model_file: Text | None = None
-    """MJCF file, from the folder of the file that names it; or `package:NAME==VERSION/path`, in an installed package;
-    or a robot's name or YAML file, for the `mjcf` that this names; null for our own MJCF of `robot`."""
+    """MJCF file, relative to the file that names it; or `package:NAME==VERSION/path`, a file in an installed package;
+    or a robot's name or YAML file, for the MJCF of its key `mjcf`; null generates an MJCF from `robot`."""
     motor_joints: tuple[Text, Text, Text, Text, Text, Text] | None = None
     """Names of the motors' joints, in any order; null takes those with an actuator."""
     motor_class: Text | None = None
@@ -60,14 +61,15 @@ class MujocoOptions(MechanismOptions):
     passive_friction: Moderate = 1.0
     """[-] factor on damping and dry friction of all joints without a motor; 0 for none."""
     passive_armature: Moderate = 1.0
-    """[-] factor on the armature of these joints, which a class that was made for motors may give them; 0 for none."""
+    """[-] factor on the armature of all joints without a motor, 0 for none. A model may give them that of motors by
+    mistake, through a default class."""
     motor_damping: Moderate | None = None  # type: ignore[assignment]
-    """[N m s/rad] viscous friction of each motor; null for the model's, none in our own."""
+    """[N m s/rad] viscous friction of a motor; null takes that of `model_file`, or 0 without one."""
     motor_friction: Moderate | None = None  # type: ignore[assignment]
-    """[N m] dry (Coulomb) friction of each motor; null for the model's, none in our own."""
+    """[N m] dry (Coulomb) friction of a motor; null takes that of `model_file`, or 0 without one."""
 
     def rules(self) -> None:
-        """Friction is given once, and without stiction; a model's keys need a model."""
+        """Friction is given by `friction` or by two other keys, without stiction; two keys need a `model_file`."""
         for name in ("motor_friction", "motor_damping"):
             if self.friction is not None and getattr(self, name) is not None:
                 allowed = "null, because `friction` is given and has this value"
@@ -81,7 +83,7 @@ class MujocoOptions(MechanismOptions):
 
     @property
     def friction_options(self) -> FrictionOptions:
-        """Friction of the motors; of a model's, the largest."""
+        """Friction of the motors; if it comes from `model_file`, that of the motor with the most."""
         if self.friction is not None:
             return self.friction
         dry, viscous = self.motor_friction, self.motor_damping
@@ -124,7 +126,7 @@ class MujocoOptions(MechanismOptions):
 
 
 def _path(given: str) -> Path:
-    """The MJCF file that `model_file` means."""
+    """Path of the MJCF file for a value of `model_file`."""
     if re.search(r"\.ya?ml$", given) or not re.search(r"[./:\\]", given):
         given = robot_model(given)
     if not given.startswith("package:"):
@@ -133,7 +135,7 @@ def _path(given: str) -> Path:
     name = re.split(r"[=<>~! ]", requirement)[0]
     if not name.isidentifier() or not inside:
         raise ConfigurationError(_KEY, given, "package:NAME/path of an MJCF in it, or package:NAME==VERSION/path")
-    # Not imported.
+    # The package is located without importing it, so none of its code runs.
     spec = importlib.util.find_spec(name)
     if spec is None or not spec.submodule_search_locations:
         allowed = f"a file in the installed package {name}; pip install --no-deps {requirement}"
@@ -142,7 +144,7 @@ def _path(given: str) -> Path:
 
 
 class _File:
-    """The model of a file, reduced to the legs' joints, and to masses without geometry."""
+    """An MJCF model without all that the plant does not use: other joints, other equalities, actuators, geometry."""
 
     def __init__(self, options: MujocoOptions, text: str = "") -> None:
         with installed_with("stewart-drake[mujoco]"):
@@ -183,9 +185,9 @@ class _File:
             self.model = spec.compile()
 
     def _strip(self) -> None:
-        """Removes geometry that does not count for masses, so that its meshes may be missing, and references to it."""
+        """Removes geometry that is not needed for masses, and references to it; its mesh files may be missing."""
         spec = self.spec
-        spec.compiler.fusestatic = False  # ids stay
+        spec.compiler.fusestatic = False  # So that the numbers of bodies do not change.
         self._delete(spec.keys, spec.sensors, spec.pairs, spec.excludes, spec.tuples, spec.skins)
         if spec.compiler.inertiafromgeom != self.mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
             self._delete([geom for geom in spec.geoms if geom.parent.explicitinertial])
@@ -227,7 +229,7 @@ class _File:
         fit, most = self.mjcf_legs.fit_frames(robot, self.legs), self.mjcf_legs.ALLOWED
         if not fit.residual <= most:
             allowed = f"a model of `robot` within {1e3 * most:g} mm, not {1e3 * fit.residual:.4g} mm ({fit.worst})"
-            raise ConfigurationError(_KEY, self.name, f"{allowed}; is `robot` another one, or not yet calibrated?")
+            raise ConfigurationError(_KEY, self.name, f"{allowed}; name the robot of this model, or calibrate it")
         return fit
 
     @contextmanager
@@ -241,7 +243,7 @@ class _File:
 
 
 class MujocoPlant:
-    """An MJCF model as a `Plant`; the torques of its motors are within the model's force ranges."""
+    """An MJCF model as a `Plant`; motor torques are limited to the model's force ranges."""
 
     def __init__(self, robot: RobotParameters, options: MujocoOptions, gravity: float) -> None:
         file = _File(options, mjcf_text(robot, gravity, options) if options.model_file is None else "")
@@ -255,7 +257,8 @@ class MujocoPlant:
         self._at, self._rates = model.jnt_qposadr[motors], model.jnt_dofadr[motors]
         self._set_options(options, [joint.id for joint in file.passive], gravity)
         self._signs, (low, high) = fit.signs, np.sort(fit.signs * file.limits[fit.order].T, axis=0)
-        # Theta at zero of the joints, in the turn in which home is nearest to the middle of a joint's range.
+        # Crank angle where a joint of the model is at zero. Its whole turns are chosen so that home is nearest to the
+        # middle of the joint's range.
         at_zero = fit.angles - fit.signs * model.qpos0[self._at]
         middle = np.where(model.jnt_limited[motors], model.jnt_range[motors].mean(axis=1), model.qpos0[self._at])
         turns = (self._home.crank_angles - at_zero - fit.signs * middle) / (2.0 * np.pi)
@@ -281,7 +284,7 @@ class MujocoPlant:
         body, axes = file.spec.bodies[file.legs.platform], data.xmat[file.legs.platform].reshape(3, 3)
         place = axes.T @ (place - data.xpos[file.legs.platform])
         self._mujoco.mju_mat2Quat(quaternion, (axes.T @ rotation).ravel())
-        # Without mass too, so that states do not depend on the payload.
+        # Also added for a payload without mass, so that the size of a saved state does not depend on the payload.
         load = body.add_body(pos=place + axes.T @ rotation @ np.array(options.payload_position), ipos=np.zeros(3))
         load.mass, load.explicitinertial = options.payload_mass, True
         return body.add_site(pos=place, quat=quaternion), body
@@ -291,7 +294,7 @@ class MujocoPlant:
         model.opt.timestep, model.opt.gravity[:] = options.time_step, self._base @ [0.0, 0.0, -gravity]
         model.opt.disableflags |= bits.mjDSBL_CONTACT | bits.mjDSBL_SENSOR
         of_passive = np.isin(model.dof_jntid, passive)
-        # `dof_dampingpoly`, of higher powers of a rate, is not in every version.
+        # `dof_dampingpoly`, damping with higher powers of a rate, does not exist in every version of MuJoCo.
         damping = [name for name in ("dof_damping", "dof_dampingpoly") if hasattr(model, name)]
         for name in ("dof_frictionloss", *damping):
             getattr(model, name)[of_passive] *= options.passive_friction
@@ -309,22 +312,22 @@ class MujocoPlant:
         self._mujoco.mj_resetData(self._model, self._data)
         theta = self._home.crank_angles + self._home.motor_angles(inverse_kinematics(self._robot, pose))
         self._data.qpos[self._at] = self._signs * (theta - self._at_zero)
-        slope = self._assemble(pose)
+        jacobian = self._assemble(pose)
         turn, shift = pose_rate_to_twist(pose, pose_rate).reshape(2, 3) @ self._base.T
-        wanted = np.concatenate([np.zeros(len(slope) - 6), shift, self._robot.characteristic_length * turn])
-        self._data.qvel[:] = np.linalg.lstsq(slope, wanted, rcond=None)[0]
+        wanted = np.concatenate([np.zeros(len(jacobian) - 6), shift, self._robot.characteristic_length * turn])
+        self._data.qvel[:] = np.linalg.lstsq(jacobian, wanted, rcond=None)[0]
         return self._measure()
 
     def _assemble(self, pose: np.ndarray) -> np.ndarray:
-        """Closes all loops at a pose (6,) by Newton's method on the joints' positions; returns the slopes of `_gaps`.
+        """Closes all loops at a pose (6,) by Newton's method on the joints' positions; returns the Jacobian of `_gaps`.
 
         Far from the solution the motors are fixed, so that no crank changes its branch.
         """
         for _ in range(_ITERATIONS):
-            error, slope = self._gaps(pose)
+            error, jacobian = self._gaps(pose)
             if (size := float(np.abs(error).max())) < _CLOSED:
-                return slope
-            free = slope.copy()
+                return jacobian
+            free = jacobian.copy()
             if size > _NEAR * self._mjcf_legs.ALLOWED:
                 free[:, self._rates] = 0.0
             step = np.linalg.lstsq(free, -error, rcond=1e-10)[0]
@@ -332,32 +335,32 @@ class MujocoPlant:
         if not size < _NOT_CLOSED:
             text = f"the model of {_KEY} does not close its loops at pose {pose_text(pose)}: {size:.2g} m open"
             raise RunFailure(text, reason="unreachable_pose")
-        return slope
+        return jacobian
 
     def _gaps(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Gaps (n,) [m] of the loops, then the pose's distance from the target; their slopes (n, nv)."""
+        """Gaps (n,) [m] of the loops, the last six being the error of the pose, and their Jacobian (n, nv)."""
         mujoco, model, data, length = self._mujoco, self._model, self._data, self._robot.characteristic_length
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        gaps, slopes = [], []
+        gaps, jacobians = [], []
         for equality in self._closures:
             ends, moved = self._mjcf_legs.connect_ends(model, data, equality), np.zeros((2, 3, model.nv))
-            for (body, place), slope in zip(ends, moved, strict=True):
-                mujoco.mj_jac(model, data, slope, None, place, body)
+            for (body, place), jacobian in zip(ends, moved, strict=True):
+                mujoco.mj_jac(model, data, jacobian, None, place, body)
             gaps.append(ends[0][1] - ends[1][1])
-            slopes.append(moved[0] - moved[1])
+            jacobians.append(moved[0] - moved[1])
         moved, axes = np.zeros((2, 3, model.nv)), data.site_xmat[self._site].reshape(3, 3)
         mujoco.mj_jacSite(model, data, *moved, self._site)
-        # Half the sum of the axes' cross products is the rotation vector to first order.
+        # To first order, half the sum of the axes' cross products is the rotation vector.
         turn = 0.5 * np.cross((self._base @ rotation_matrix(pose[:3])).T, axes.T).sum(axis=0)
         gaps += [data.site_xpos[self._site] - self._origin - self._base @ pose[3:], length * turn]
-        return np.concatenate(gaps), np.concatenate([*slopes, moved[0], length * moved[1]])
+        return np.concatenate(gaps), np.concatenate([*jacobians, moved[0], length * moved[1]])
 
     def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         """A step; NotFiniteError if the simulation has diverged."""
         mujoco, model, data = self._mujoco, self._model, self._data
         apply_forces(self._frames, torque, wrench, self._rates, *self._pushed)
-        # As `mj_step`, without the checks that write a file and reset.
+        # The same as `mj_step`, except that it does not write a log file and reset the state if numbers are bad.
         mujoco.mj_fwdActuation(model, data)
         mujoco.mj_fwdAcceleration(model, data)
         mujoco.mj_fwdConstraint(model, data)

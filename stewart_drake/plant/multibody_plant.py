@@ -287,7 +287,7 @@ def add_robot(
         )
         (instance,) = (Parser(plant) if parser is None else parser).AddModelsFromString(text, "sdf")
         added = StewartRobot(plant, instance, robot, options, base)
-        # Its coordinates are then pose and twist in B, wherever the base is.
+        # The coordinates of this joint are pose and twist in B, wherever the base is.
         floating = QuaternionFloatingJoint("platform", added.frame("base"), added.frame("platform"))
         home = RollPitchYaw(robot.home_pose[:3]).ToRotationMatrix()
         plant.AddJoint(floating).SetDefaultPose(RigidTransform(home, robot.home_pose[3:]))

@@ -20,11 +20,11 @@ from stewart_drake.logs.metrics import INTEGRAL_TIME, run_metrics
 from stewart_drake.logs.signals import SCALES, SIGNALS
 from stewart_drake.plotting import style as look
 
-_AXIS_COLORS = (look.ORANGE, look.GREEN, look.BLUE)  # Of axes 1, 2, 3, as in RGB triads.
+_AXIS_COLORS = (look.ORANGE, look.GREEN, look.BLUE)  # Colours of axes 1, 2, 3, in the order of RGB triads.
 _LINES: tuple[Literal["-", ":", "-.", "--"], ...] = ("-", ":", "-.", "--")  # By run.
 _FAILURE = "#B2182B"
 _NEAR_LIMIT = 0.8  # Share of a motor's limit; limits are drawn if torques exceed it.
-_MIN_SHARE = 0.1  # Of the largest motion or error; axes with less are left out.
+_MIN_SHARE = 0.1  # Share of the largest motion or error; axes with less are not drawn.
 _MIN_SIZE = 1e-9  # [m] of a motion or error.
 _SYMBOLS = (r"$\phi$", r"$\theta$", r"$\psi$", "X", "Y", "Z")
 _GROUPS = (("deg", (0, 1, 2)), ("mm", (3, 4, 5)))

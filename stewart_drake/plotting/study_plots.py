@@ -23,7 +23,7 @@ _LOOKS = tuple(zip(_COLORS, "v^Dos>h*", strict=True))
 _CROSS: dict[str, Any] = {"marker": "x", "markersize": 6.5, "markeredgewidth": 2.0, "linestyle": "none"}
 _DASHED: dict[str, Any] = {"color": look.TEXT, "linestyle": (0, (4, 3)), "linewidth": 0.9}
 _MIN_DRAWN = 1e-6  # [mm] Smaller errors are clipped.
-_MIN_RATIO = 1e-3  # Of amplitudes; below -60 dB the phase is not drawn.
+_MIN_RATIO = 1e-3  # Ratio of amplitudes (-60 dB) below which the phase is not drawn.
 
 
 @look.styled

@@ -128,7 +128,7 @@ def fix(source: str, out: Path, force: bool) -> None:
 def export(
     source: str, out: Path, force: bool, shaped: str | None, overrides: tuple[str, ...], trust_code: bool
 ) -> None:
-    """As it is, or as poses for which a player sends the commands that the servos need to follow the move."""
+    """The move itself, or poses for which a player sends the commands that the servos need to follow the move."""
     given, scenario = moves_of(source), None if shaped is None else load_driven(shaped, overrides, trust_code)
     folder = _place(source, given, out, force)
     if scenario is not None:

@@ -107,7 +107,7 @@ def read_rows(path: Path) -> np.ndarray:
 
 
 def _place(name: str, wrong: np.ndarray) -> str:
-    """Where in a file the first wrong row (n,) of a column stands."""
+    """Path in the file of the first value of a column that is marked in `wrong` (n,)."""
     row = int(wrong.argmax())
     return f"time[{row}]" if name == "time" else f"set_target_data[{row}].{name}"
 
@@ -150,7 +150,7 @@ def dance(name: str) -> Move:
 
 
 def files_of(source: str) -> list[Path]:
-    """Files of the moves that a source names; none where they are dances of the maker's."""
+    """Files of the moves that a source names; none if they are dances of the manufacturer."""
     if source == "dances" or source.startswith("dance:"):
         return []
     path = Path(source)

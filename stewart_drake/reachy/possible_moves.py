@@ -155,7 +155,7 @@ def shaped_move(scenario: Scenario, move: Move) -> tuple[Move, np.ndarray]:
         asked = np.clip(plain + share * (sent - plain), *robot.crank_angle_ranges.T)[left]
         found, errors, _ = kinematics.newton(robot, asked, pose[left], kinematics.CLOSED, kinematics.NEWTON_STEPS)
         closed = (errors <= kinematics.CLOSED) & (kinematics.reach_margin(robot, found) > 0.0).all(axis=1)
-        # Of the same branch.
+        # Only poses on the same branch of the inverse kinematics.
         same = np.abs(kinematics.inverse_kinematics(robot, found[closed]) - asked[closed]).max(axis=1) < 1e-6
         there = np.flatnonzero(closed)[same]
         pose[left[there]], shares[left[there]] = found[there], share

@@ -17,7 +17,7 @@ from stewart_drake.robot.robot_scale import HOME_POSE, LENGTH
 
 HOME: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.3)
 ZERO: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-Curve = Callable[[float | np.ndarray], np.ndarray]  # Of time (n,) [s].
+Curve = Callable[[float | np.ndarray], np.ndarray]  # Function of time (n,) [s].
 SixPhases = Annotated[tuple[Phase, Phase, Phase, Phase, Phase, Phase], one_for_six(Phase)]
 
 

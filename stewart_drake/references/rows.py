@@ -19,8 +19,8 @@ SETTLE = 0.25
 WINDOW = 1.0
 """[s] over which stamps are averaged."""
 MOST_ROWS = 1_000_000
-_ORDER = 4  # Of the Butterworth filter; it runs forwards and backwards.
-_PERIODS = 10.0  # Of the cutoff, after which the filter's transient has decayed.
+_ORDER = 4  # Order of the Butterworth filter, which runs forwards and backwards.
+_PERIODS = 10.0  # Periods of the cutoff frequency after which the filter's transient has decayed.
 _MIN_RATE = 2.2  # Rows per period of the cutoff, at least, for a filter.
 _GAP = 1.95  # Median steps between two stamps with missing rows between them; jitter makes less than 2.
 

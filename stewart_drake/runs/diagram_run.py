@@ -25,7 +25,7 @@ class DiagramRun(Run):
         loop = self._loop
         self._simulator = Simulator(loop)
         if loop.num_continuous_states() > 0:
-            # Of a user's controller. Fixed steps, as error control never ends once a derivative is not a number.
+            # Integrator of a user's controller. With error control it would not end once a derivative is NaN.
             integrator, step = self._simulator.get_mutable_integrator(), self.scenario.plant.time_step / SUBSTEPS
             integrator.set_fixed_step_mode(True)
             # In this order: Drake refuses an initial step above the maximum.

@@ -256,7 +256,7 @@ class Drive:
         return SimulationLog(**fields)
 
     def go(self, progress: Callable[[float], None] | None = None) -> RunFailure | KeyboardInterrupt | None:
-        """As `run`, without a log; returns the reason of an early end."""
+        """Drives the machine as `run` does, but returns no log; returns the reason of an early end."""
         with real_time():
             self._go(progress)
         return self._stopped_by

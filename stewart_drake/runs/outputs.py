@@ -57,7 +57,7 @@ def prepare_file(path: Path, key: str = "--out") -> None:
 
 @contextmanager
 def prepared_file(path: Path) -> Iterator[None]:
-    """As `prepare_file`; new folders that are empty at the end are removed."""
+    """Like `prepare_file`, but removes new folders that are empty at the end."""
     new_folders = [folder for folder in path.absolute().parents if not folder.exists()]
     prepare_file(path)
     try:

@@ -21,7 +21,7 @@ from stewart_drake.runs.scene import link_poses, robot_scene
 
 FRAME_RATE = 30.0  # [1/s]
 MAX_FRAMES = 9000  # Longer runs get a lower frame rate, so that a page stays small: a frame takes 0.5 kB.
-MAX_POINTS = 3000  # Of a trace.
+MAX_POINTS = 3000  # Largest number of points of a trace.
 _STYLES = ("uPlot.min.css", "common.css", "replay.css")
 _SCRIPTS = ("three.min.js", "uPlot.iife.min.js", "scene.js", "plots.js", "replay.js")
 

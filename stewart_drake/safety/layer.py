@@ -85,9 +85,9 @@ class SafetyState(Record):
     too_fast: float  # Ticks of commands that jumped.
     unexplained_ticks: float  # Ticks of residuals that were too large.
     runaway_ticks: float  # Ticks of a stop in which a crank turned too fast.
-    stop_ticks: float  # Of ramp and safe hold.
+    stop_ticks: float  # Ticks of ramp and safe hold so far.
     assembly_sign: float  # Sign of the rods' determinant at the start, 0 before the first tick.
-    ticks: float  # Done.
+    ticks: float  # Number of ticks so far.
     first: Trip
     worst: float  # Highest level so far.
     command: Vec6  # [N m] of the last tick in which it was finite.
@@ -249,7 +249,7 @@ def _react(
     unexplained: bool,
     state: SafetyState,
 ) -> int:
-    """Notes a trip; the level of the reaction: HOLD as long as the budget lasts, else RAMP."""
+    """Records a trip. Returns the level of the reaction: HOLD as long as the budget lasts, else RAMP."""
     residual = state.residual
     state.hold_used += 1.0
     if level == HOLD and state.hold_used > params.budget:
@@ -309,7 +309,7 @@ def _largest_change(params: SafetyParams, state: SafetyState) -> float:
 
 @njit
 def _approach(params: SafetyParams, torque: Vec6, state: SafetyState) -> bool:
-    """Moves the torques of the motors towards those wanted, at the largest rate; True where they are reached."""
+    """Moves the torques of the motors towards those wanted, at the largest rate; True if they are reached."""
     bound, reached = _largest_change(params, state), True
     for i in range(6):
         before = state.torque[i]

@@ -42,21 +42,21 @@ LIMITS = (
 have this order, in which they are checked: the first to trip explains the others."""
 _OF_ROW = np.array([(monitor, of_legs) for monitor, _, of_legs in LIMITS])
 
-TIE = 1e-6  # Difference of the numbers of two legs, in any unit, up to which the first leg is named.
+TIE = 1e-6  # Difference of two legs, in any unit, below which the first leg is named.
 AT_LIMIT_TIME, TOO_FAST_TIME = 0.1, 0.01
-"""[s] for which, in sum, commands may be at the torque limit, or jump. Good ticks are subtracted from the sum."""
+"""[s] total time for which commands may be at the torque limit, and may jump. Good ticks are subtracted from it."""
 RUNAWAY_TIME = 0.005
 """[s] for which a crank of a stopping robot may turn too fast: a reading may jump."""
 IMPACT = 0.005  # [s] longest impact, as `disturbances` has it.
-SIGMAS = 8.0  # Noise of the residual over its bound: the window is so long that the bound has room for it.
+SIGMAS = 8.0  # Standard deviations of the residual's noise that fit in its bound; this sets the length of the window.
 FILTER_TIME, UNREAD_TIME = 0.01, 0.05
 """[s] time constant of the unexplained acceleration; time for which a jump of a reading counts; assumed."""
 BANDWIDTHS, CORRECTION = (150.0, 10.0), 0.3
 """[rad/s] bandwidths of the observers; largest correction of the slow one in a tick; assumed."""
 STOPPING, STOPPING_TICKS = 0.008, 4.0  # [s], [ticks] time constant of a stop: the loop has the delay of a tick.
 SUSPECT_HOLD = 0.04  # [s] for which torques alone give a speed; five time constants of a stop.
-RUNAWAY, FASTEST = 2.0, 15.0  # [-] times the crank speed; [rad/s] where that is off.
-NOISE = 1e-5  # [rad] of a crank's angle, where it is not given.
+RUNAWAY, FASTEST = 2.0, 15.0  # Factor on `crank_speed`; [rad/s] speed if `crank_speed` is null.
+NOISE = 1e-5  # [rad] noise of a crank's angle, if it is not given.
 
 
 class SafetyParams(Record):
@@ -204,7 +204,7 @@ def observe(
         for k in range(3):
             trace += turn[i, k] * wanted[i, k]
     angle, distance = _angle(trace), _distance(pose, reference)
-    # Of a NaN the minimum is NaN, which breaks the limit.
+    # The minimum with a NaN is NaN, which counts as a violation.
     following = np.minimum(_margin(params.following_error[0], angle), _margin(params.following_error[1], distance))
     for i in range(6):
         margin[0, i], margin[3, i], margin[4, i] = from_home, conditioning, following

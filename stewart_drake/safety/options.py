@@ -64,7 +64,7 @@ class SafetyOptions(Section, key="safety"):
     workspace: Annotated[PositivePair | None, LENGTH] = (1.2, 0.12)
     """[rad, m] largest distance from the home pose: angle of the rotation, and distance of P."""
     transmission: Fraction | None = MONITORED.transmission
-    """[-] smallest distance |e_l . e_N| of a crank from its dead centre (serial singularity), where it is 0."""
+    """[-] smallest distance |e_l . e_N| of a crank from its dead centre (serial singularity), at which it is 0."""
     conditioning: Fraction | None = MONITORED.conditioning
     """[-] smallest distance from a parallel singularity: sigma_min / sigma_max of the rods' lines, without crossing
     zero."""

@@ -27,17 +27,17 @@ from stewart_drake.mechanics.linear_algebra import (
 )
 
 LONGEST_HALF = 10
-"""Ticks of half a window at most, by the size of the state."""
+"""[ticks] largest half of a window; the state has room for no more."""
 ONE_LEG_SHARE = 0.2
-"""Share of the bound on a residual that applies where it is that of one leg; assumed."""
+"""Share of the bound on a residual that applies if one leg dominates; assumed."""
 TWO_LEGS_SHARE = 0.5
 """Factor of the residual of two legs, unless it fits motors that give each other's torque: a push along an axis of
 symmetry can look so."""
 FRICTION_ERROR = 0.25  # Share of the model's friction by which it may be wrong; assumed.
-DOMINANCE = 2.0  # [-] times all others, of one or two cranks that dominate.
+DOMINANCE = 2.0  # One or two cranks dominate if they exceed all others by this factor.
 SWAPPED_WITHIN = 0.3  # Share of a residual to which two motors must give each other's torque.
-_SWEEPS = 4  # Over the cranks, for dry friction.
-_TOLERANCE, _ITERATIONS = 1e-12, 12  # As in `estimator`.
+_SWEEPS = 4  # Gauss-Seidel sweeps over the cranks, for dry friction.
+_TOLERANCE, _ITERATIONS = 1e-12, 12  # The same as in `estimator`.
 READING_WRONG, MOTOR_WEAK, MOTOR_REVERSED, MOTOR_SWAPPED = range(1, 5)
 FAST, SLOW = range(2)
 """Rows of two observers of the cranks' speeds."""
@@ -54,7 +54,7 @@ class ResidualParams(Record):
     half: float  # [ticks] of half a window.
     unexplained: Vec6  # [N m] bound on a residual, besides friction.
     unexplained_alone: float  # [N m] the same where one leg or two dominate.
-    filter_share: float  # Of a tick in `filtered_acceleration`.
+    filter_share: float  # Weight of the newest tick in the low pass `filtered_acceleration`.
     inertia: float  # [kg m^2] least, of a crank.
     bandwidth: Vec2  # [rad/s] of the observers.
     most_correction: Vec2  # [rad/s] largest correction of a speed in a tick.
@@ -75,8 +75,8 @@ class ResidualState(Record):
     residual: Vec6  # [N m] that less inverse dynamics.
     push_acceleration: Vec6  # [rad/s^2] that the residual would make.
     filtered_acceleration: Vec6  # [rad/s^2] unexplained, friction included, low-passed.
-    missing_torque: Vec6  # [N m] of that.
-    unread_ticks: Vec6  # For which a crank still counts as not read.
+    missing_torque: Vec6  # [N m] that gives this acceleration.
+    unread_ticks: Vec6  # Ticks for which a crank still counts as not read.
     holding_torque: Vec6  # [N m] at rest.
     mobility: Mat6  # [1/(kg m^2)] acceleration by torque.
     speed: _Observers  # [rad/s] estimates of the fast and the slow observer.

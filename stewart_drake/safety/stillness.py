@@ -14,12 +14,12 @@ from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
 from stewart_drake.robot import RobotParameters
 
 BLOCK, BLOCKS = 0.2, 5
-"""[s] of a block of ticks, and blocks in a window. Readings count in one more, newer block: a servo may be late by
-that."""
+"""[s] length of a block of ticks, and number of blocks in a window. Readings may be later than the reference by one
+block."""
 TRAVEL_SHARE = 0.1
 """Share of the travel of its reference that a crank must have."""
 LEAST_TRAVEL = 0.03
-"""[rad] travel of a reference in a window from which on its crank must move."""
+"""[rad] travel of a reference in a window above which its crank must move."""
 REFERENCE_PLAY, READING_PLAY = 0.015, 0.003
 """[rad] half width of a motion that does not count as travel. Reference: play and friction, up to 1 deg each in servos
 that are sold. Reading: noise, and one count of 10 bits to and fro."""
@@ -35,15 +35,15 @@ class StillParams(Record):
     """Parameters of the detection."""
 
     block: float  # [ticks]
-    share: float  # Of the travel; 0 where that is off.
-    frozen: float  # [rad] travel of the reference; infinite where that is off.
+    share: float  # Share of the travel that a crank must have; 0 switches this off.
+    frozen: float  # [rad] travel of the reference after which readings are frozen; infinite switches this off.
 
 
 class StillState(Record):
     """State of the detection."""
 
     started: float  # 1 after the first tick.
-    cosine: Vec6  # Of the reference's crank angles.
+    cosine: Vec6  # Cosines of the reference's crank angles.
     sine: Vec6
     angles: Vec6  # [rad] read last.
     reference: Vec6  # [rad] turned by the reference since the first tick.
@@ -124,7 +124,7 @@ def _end_block(params: StillParams, state: StillState) -> None:
             read += state.angle_travel[row, i]
         if wanted > LEAST_TRAVEL and read < params.share * wanted:
             count += 1
-            # Of a tie the first leg, on any processor.
+            # Between equal legs the first one is chosen, on any processor.
             if wanted > 1.01 * most:
                 most, leg = wanted, i
     for row in range(BLOCKS, 0, -1):

@@ -45,13 +45,13 @@ class ControlSide(NamedTuple):
 
     context: LoopContext
     parts: tuple[Part, ...]  # In order.
-    at_end: tuple[Part, ...]  # Those that run at the end of a tick.
+    at_end: tuple[Part, ...]  # Parts that run at the end of a tick.
     # `reference` (18,), and where an observer looks ahead `reference_ahead` (18,).
     sources: tuple[Source, ...]
     reading: str  # Name of the reading.
     torque: str  # Name of the signal (6,) [N m] of the commanded torque.
     command: str  # Name of the signal (6,) that goes to the motors, which is that torque where they take one.
-    unit: str  # Of that command.
+    unit: str  # Unit of the command.
     initial_command: np.ndarray  # (6,) until the first one arrives.
     safety: Part | None  # The safety layer, for the signal at `command`.
     logged: Mapping[str, str | np.ndarray]  # Signals by their names in a log; an array stays as it is.
@@ -70,9 +70,9 @@ class Loop(NamedTuple):
     """
 
     parts: tuple[Part, ...]  # In order.
-    sources: tuple[Source, ...]  # Those of the controller's side, and with disturbances `wrench` (6,).
+    sources: tuple[Source, ...]  # Sources of the controller's side; with disturbances also `wrench` (6,).
     torque: str  # Name of the signal (6,) [N m] that the motors give the plant.
-    logged: Mapping[str, str | np.ndarray]  # As of `ControlSide`.
+    logged: Mapping[str, str | np.ndarray]  # See `ControlSide.logged`.
     inputs: Mapping[str, np.ndarray] = NOTHING  # Signals from outside, with their first values.
 
 
@@ -111,7 +111,7 @@ def _pushes(scenario: Scenario) -> tuple[Source, ...]:
 
 
 def sensor_parts(scenario: Scenario) -> list[Part]:
-    """Parts that make the signal `reading`; none where that is the pose of the plant."""
+    """Parts that compute the signal `reading`; none if it is the pose of the plant."""
     period, step = scenario.reading_period, scenario.plant.time_step
     parts = [part._replace(period=period) for part in scenario.sensors.parts(period)]
     if (steps := round(scenario.sensors.delay / step)) == 0:
@@ -353,7 +353,7 @@ def _written(parts: Sequence[Part], options: AdaptationOptions, laws: Sequence[P
         if place in known:
             changed[name].check_signal(parameter, law.initial.dtype[output])
             changed[name], is_of_use = changed[name].connected(**{parameter: law.signal(output)}), True
-        elif name in changed and name not in ("controller", "estimator"):  # Of which some kinds do without.
+        elif name in changed and name not in ("controller", "estimator"):  # Some kinds do not use these.
             raise ConfigurationError(f"adaptation.writes.{output}", place, join_or(known))
     if not is_of_use:
         allowed = f"one that writes parameters that are in this loop: {join_or(known)}"

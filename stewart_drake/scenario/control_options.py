@@ -175,7 +175,7 @@ class ControlOptions(Section):
 
     @property
     def lqi(self) -> LqiOptions:
-        """`controller`, for what needs the LQI; refused where it is of another kind."""
+        """`controller`, if it is an LQI; a ConfigurationError for another kind."""
         if not isinstance(self.controller, LqiOptions):
             raise ConfigurationError("controller.kind", self.controller.kind, "lqi, for this")
         return self.controller

@@ -125,7 +125,7 @@ class LimitMargin:
 
     @property
     def unit(self) -> str:
-        """Of value, bound and margin."""
+        """Unit of value, bound and margin."""
         return RULES[self.limit][0]
 
     @property

@@ -36,7 +36,7 @@ from stewart_drake.scenario.keys import with_keys
 from stewart_drake.scenario.limits import ReferenceLimits, SuccessCriteria
 
 MAX_STEPS = 10**9
-"""Of the plant in a run: with more the steps could not be told apart in the sample times."""
+"""Largest number of steps of the plant in a run: with more, sample times could not distinguish the steps."""
 
 
 class Scenario(ControlOptions):

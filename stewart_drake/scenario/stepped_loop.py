@@ -1,4 +1,4 @@
-"""The parts of a scenario on a plant, called in order, step by step, without a Diagram."""
+"""The closed loop of a scenario without a Diagram: calls its parts and its plant in order, step by step."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ from stewart_drake.scenario.scenario import Scenario
 
 
 class SteppedLoop:
-    """The parts of a scenario on a plant.
+    """The closed loop of a scenario: its parts and a plant.
 
     Args:
         scenario: The scenario.
-        plant: The plant; None makes that of the scenario.
-        sources: Signals of time in place of those of the scenario: name -> value (n,) at a step of the plant.
-        parts: Those that run, `machine_side` for one; None for `loop_of` the scenario.
+        plant: The plant; None for the plant of the scenario.
+        sources: Functions that replace sources of the scenario, such as its reference: name of the signal -> function
+            of the number of the plant's step that returns the value (n,).
+        parts: The parts to run, such as those of `machine_side`; None for all parts, `loop_of(scenario)`.
 
     Attributes:
-        parts: The parts that run.
-        runner: The parts with their states.
+        parts: The parts.
+        runner: Runs the parts and has their states.
         plant: The plant.
-        now: Steps of the plant that are done.
+        now: Number of steps of the plant so far.
         measured: (24,) output of the plant, see `plant_options.POSE`.
-        torque: (6,) [N m] of the motors.
+        torque: (6,) [N m] torques of the motors.
     """
 
     def __init__(
@@ -67,7 +68,7 @@ class SteppedLoop:
         return self.measured[POSE]
 
     def begin(self) -> None:
-        """Puts the plant where the scenario starts, and the parts before their first tick."""
+        """Resets the plant to the start of the scenario, and the parts to their initial states."""
         self.now = 0
         self.runner.reset()
         for name, first in self.parts.inputs.items():
@@ -75,14 +76,14 @@ class SteppedLoop:
         self.measured[:] = self.plant.initial(*self.scenario.start())
 
     def run_parts(self) -> None:
-        """The parts that are due now, with the signals of time."""
+        """Evaluates the sources at the present time, and runs the parts that have a tick now."""
         for signal, evaluate in self._sources:
             signal[:] = evaluate(self.now)
         self.runner.time[0] = self.time
         self.runner.run(self.now)
 
     def move(self) -> None:
-        """A step of the plant, after the parts that act from the next tick on."""
+        """Runs the parts that update at the end of a tick, then moves the plant by one step."""
         self.runner.end(self.now)
         try:
             self.measured[:] = self.plant.step(self.torque, self._wrench)
@@ -92,7 +93,7 @@ class SteppedLoop:
         self.now += 1
 
     def take_over(self, other: SteppedLoop) -> None:
-        """Continues from the state of another loop: plant, and the parts that both have."""
+        """Continues from the state of another loop: copies the plant's state and those of parts that both have."""
         self.now = other.now
         self.runner.take_over(other.runner)
         if self.plant is not other.plant:

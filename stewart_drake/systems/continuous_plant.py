@@ -81,7 +81,7 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
             self.crank_state = self.DeclareVectorOutputPort(
                 "crank_state", 12, self._cranks, prerequisites_of_calc=needs
             )
-            # As in `StewartRobot`.
+            # The same as in `StewartRobot`.
             self.torque_input_port, self.state_output_port = self.torque, self.measurement
 
         def _construct_copy(self, other: Any, converter: Any = None) -> None:

@@ -41,21 +41,22 @@ class ClosedLoop(Diagram):
     Output ports: plant_state (nq + nv,) [rad, rad/s], reading (6,) angles of the cranks [rad], or of a sensor of the
     pose pose_reading (12,), measurement (12,) pose [rad, m] and pose rate [rad/s, m/s], reference (18,) pose, pose rate
     and pose acceleration [rad/s^2, m/s^2], torque (6,) [N m] commanded, torque_applied (6,) [N m] of the motors, error
-    (6,) [rad, m], integral (6,) [rad s, m s]; for controllers that take weights weights (2,) or (4,) [-], density (12,)
-    [-]; with an observer innovation (6,) [rad]; with disturbances disturbance (6,) [N m, N] about P; with a safety
-    layer safety (3,): level, monitor, leg or -1; with motors that take an angle or a current commanded_angle [rad] or
-    commanded_current [A] (6,).
+    (6,) [rad, m], integral (6,) [rad s, m s]. Some scenarios have more ports. If the controller takes weights: weights
+    (2,) or (4,) [-] and density (12,) [-]. With an observer: innovation (6,) [rad]. With disturbances: disturbance (6,)
+    [N m, N] about P. With a safety layer: safety (3,), which is level, monitor, leg or -1. With motors that take angles
+    or currents: commanded_angle [rad] or commanded_current [A] (6,).
 
-    Its default state is the scenario's start: `Simulator(build_diagram(scenario))` begins as `run(scenario)` does; the
-    rates are set at `Initialize`. `plant.broken_rod` breaks at its time.
+    The default state of the Diagram is the start of the scenario, so `Simulator(build_diagram(scenario))` begins as
+    `run(scenario)` does. The initial rates are set by `Simulator.Initialize`, and a rod breaks at the time of
+    `plant.broken_rod`.
 
     Args:
         scenario: The run to build.
-        sparse: Log for `rows`, a row per step of the plant: signals that change only at ticks are logged at ticks,
-            functions of time or of the plant's state not at all. Else all signals are logged at `scenario.log_period`.
-        inputs: Input ports; if not connected, a signal is the scenario's. `wrench` (6,) [N m, N] about P is added to
-            its disturbances, `reference` (18,) and `weights` (2,) or (4,) replace its signals.
-        outputs: Fields of the parts' records that are exported and logged too: `controller.gain`.
+        sparse: False logs all signals at `scenario.log_period`. True logs for `rows`, as little as possible: signals
+            that change only at ticks are logged at ticks, and functions of time or of the plant's state are not logged.
+        inputs: Names of input ports. `wrench` (6,) [N m, N] about P is added to the disturbances of the scenario;
+            `reference` (18,) and `weights` (2,) or (4,) replace its signals. A port without a connection has no effect.
+        outputs: Fields of the parts' records to export and log as well, such as `controller.gain`.
         visuals: Register the geometry with a SceneGraph, `plant.scene_graph`, for visualisers and cameras.
         meshcat: A Meshcat that shows the robot and the forces of contact.
         before_finalize: Adds further bodies to the plant, see `add_plant`.
@@ -108,10 +109,13 @@ class ClosedLoop(Diagram):
         self.set_name(scenario.name)
 
     def rows(self, context: Context) -> tuple[int, dict[str, np.ndarray]]:
-        """Of a sparse log: number of complete rows, all signals (n, k), and the plant's measurement `measured`."""
+        """All signals (n, k) of a sparse log, with n rows, one per step of the plant; returns n and the signals.
+
+        `measured` is the measurement of the plant, see `plant_options.POSE`.
+        """
         with drake_guard("reading the logs"):
             logs = {name: sink.FindLog(context) for name, sink in self.sinks.items()}
-        # A failure can stop a publish halfway.
+        # After a failure, some logs can have a row less than others.
         count = min(log.num_samples() * self._strides[name] for name, log in logs.items())
         values = {
             name: np.repeat(log.data().T, self._strides[name], axis=0)[:count].copy() for name, log in logs.items()
@@ -132,36 +136,38 @@ class ClosedLoop(Diagram):
 
 
 def _one_of(key: str, name: str, known: Iterable[str], inside: str = "") -> str:
-    """The name, if it is known and contains `inside`."""
+    """Returns the name; a ConfigurationError if it is not one of the known names that contain `inside`."""
     if name not in (allowed := sorted(other for other in known if inside in other)):
         raise ConfigurationError(key, name, join_or(allowed))
     return name
 
 
 class LoopSystems:
-    """All systems of a scenario except the plant, in a Diagram under construction, connected to a robot; by `add_loop`.
+    """Adds all systems of a scenario except the plant to a DiagramBuilder, and connects them to a robot.
 
-    `plant` and `gravity` are those of the robot's plant, which is finalised, instead of the scenario's. The scenario's
-    start becomes the robot's default state: a Simulator on the Diagram begins as `run(scenario)` does.
+    The plant exists already and is finalised, so its options and its gravity replace those of the scenario. The start
+    of the scenario becomes the default state of the robot: a Simulator on the Diagram begins as `run(scenario)` does.
 
     Args:
-        builder: Receives the systems, and those of the motors' stiction if they are missing.
-        scenario: With the same robot.
-        robot: Made by `add_robot` or `add_plant`.
+        builder: Receives the systems; also those of the motors' stiction, if it does not have them yet.
+        scenario: A scenario with the same robot.
+        robot: The robot, from `add_robot` or `add_plant`.
         inputs: See `ClosedLoop`.
-        outputs: Likewise.
-        name: Prefix of the systems' names, for several loops in a Diagram.
+        outputs: See `ClosedLoop`.
+        name: Prefix of the systems' names, needed for several loops in one Diagram.
 
     Attributes:
-        scenario, loop: The scenario, with the plant's options, and its parts.
+        scenario: The scenario, with options and gravity of the plant.
+        loop: Its parts.
         systems: Systems of the parts, by name.
         inputs, outputs: Ports by name; the outputs are those of `ClosedLoop` except `plant_state`.
-        logged, tables, strides: For the log of a run: signals of the outputs; functions of time; number of the plant's
-            steps in a tick, for signals that change only at ticks.
+        logged: Signal, or constant, of every output.
+        tables: Functions of time, by signal.
+        strides: Number of the plant's steps in a tick, for signals that change only at ticks.
 
     Raises:
-        ConfigurationError: Another robot than the scenario's, or one that has a loop; periods that are no multiples of
-            the plant's step; a name that is taken.
+        ConfigurationError: The robot differs from the scenario's or has a loop already; a period is not a multiple of
+            the plant's step; a name is taken.
     """
 
     @checked
@@ -232,7 +238,7 @@ class LoopSystems:
         sources: dict[str, str | np.ndarray] = {"wrench": np.zeros(6), "reference": "reference"}
         sources |= {port: part.source(port) for part in self.loop.parts for port in part.inputs if port == "weights"}
         if "reference_ahead" in self._signals:
-            del sources["reference"]  # The future of an external one is not known.
+            del sources["reference"]  # Some part needs the future reference, which an input port cannot give.
         for name in dict.fromkeys(names):
             _one_of("inputs", name, sources)
             scenario = self._port(f"scenario_{name}", name if name in self._signals else sources[name])
@@ -245,9 +251,9 @@ class LoopSystems:
         return {log: signal for log, signal in logged.items() if signal in names}
 
     def _add_part(self, part: Part) -> None:
-        """Adds the system of a part, whose signals are split in C++, without calls of Python."""
+        """Adds the system of a part. A Demultiplexer in C++ splits its output into signals: no further Python calls."""
         if part.kernel is limit_torque:
-            # By Drake in C++: a call of Python at every step of the plant costs a tenth of the step.
+            # Drake's Saturation in C++: a Python call at every step of the plant would cost a tenth of the step.
             limit = part.parameters["limit"]
             saturation = self.systems[part.name] = self._add(part.name, Saturation(-limit, limit))
             self._signals[part.signal("torque")] = saturation.get_output_port()
@@ -264,7 +270,7 @@ class LoopSystems:
         self._builder.Connect(system.result, split.get_input_port())
         for place, name in enumerate(fields):
             self._signals[f"{part.name}.{name}"] = split.get_output_port(place)
-            if not part.end_of_tick:  # Those update their outputs after the log of the tick.
+            if not part.end_of_tick:  # Such a part updates its outputs only after the log has taken the tick's row.
                 step = self.scenario.plant.time_step
                 self.strides[f"{part.name}.{name}"] = steps_per(f"{part.name}.period", system.period, step)
         for output in part.outputs:
@@ -275,7 +281,7 @@ class LoopSystems:
         """Connects the inputs of a part."""
         for port in (*part.inputs, *part.replaced):
             source = "weights" if port == "weights" in self._signals else part.source(port)
-            # A `PartSystem` needs no port for the time and for arrays.
+            # A `PartSystem` has no ports for the time and for constant arrays.
             if part.system is not None or (port != "time" and isinstance(source, str)):
                 signal, system = self._port(f"{part.name}_{port}", source), self.systems[part.name]
                 has_one = isinstance(system, Saturation)

@@ -38,7 +38,7 @@ LOWEST, HIGHEST = np.array([-0.05, -0.8, -2.2, -2.2]), np.array([0.5, 0.7, 0.1, 
 docs/results/tuner.md."""
 ROUGH = ("load jump", "pushes", "blows", "saturation", "stiction")
 """Kinds in which a stiff loop helps most."""
-DIGITS = 3  # Of a setting, in runs and in files
+DIGITS = 3  # Decimal places of a setting, in runs and in files.
 BEST_FIXED, ORACLE = "best fixed", "oracle of each kind"
 OTHER_FIXED = ("best of each robot", "stiff", "default", "best of the nine pairs")
 """Other fixed settings, for all kinds or for a robot."""

@@ -50,7 +50,7 @@ class Dataset:
     outputs: np.ndarray  # (n, 2) weights omega_Q, omega_R.
     run: np.ndarray  # (n,) experiment.
     time: np.ndarray  # (n,) [s] within the experiment.
-    metadata: dict[str, Any] = field(default_factory=dict)  # Of the experiments, see `dataset_metadata`.
+    metadata: dict[str, Any] = field(default_factory=dict)  # Metadata of the experiments, see `dataset_metadata`.
 
     def digest(self) -> str:
         content = hashlib.sha256()

@@ -50,7 +50,7 @@ WEIGHTS = HIDDEN * len(FEATURES) + HIDDEN + SIZE * HIDDEN + SIZE
 """Size of the flat vector of a network: hidden layer and its biases, output layer and its biases."""
 FAR = 1e5  # Limits of the features before their range is known
 SPREAD = 0.1
-LEARNING_RATE = 0.03  # Of Adam at the start; it falls to a tenth along half a cosine
+LEARNING_RATE = 0.03  # Initial learning rate of Adam; it falls to a tenth along half a cosine.
 FAIRNESS = 10.0
 """Extra weight of a kind in which the policy is worse than a fixed setting, per unit of log J."""
 MORE = {"reachy_mini": 2}  # Times as many situations in a generation, for a robot with short runs
@@ -174,7 +174,7 @@ class State:
     weights: np.ndarray
     moments: np.ndarray  # (2, n) of Adam.
     best: np.ndarray  # Weights with the least objective in validation.
-    least: float = 1e9  # That objective.
+    least: float = 1e9  # Value of that objective.
     generation: int = 0
     seconds: float = 0.0
     history: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
