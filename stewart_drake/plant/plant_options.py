@@ -6,7 +6,7 @@ import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
 from pydantic import Field
@@ -90,10 +90,6 @@ class PlantOptions(Section, ABC, key="plant"):
         """For reports: keys of `robot` with its own values, if it has them; further facts: name, value, unit."""
         return {}, []
 
-    def braked(self, robot: RobotParameters) -> PlantOptions | None:  # noqa: ARG002
-        """The same with brakes that hold every crank with its motor's effort limit; None if not possible."""
-        return None
-
     @property
     def friction_options(self) -> FrictionOptions:
         """Friction of the motors, given by whichever keys."""
@@ -124,7 +120,8 @@ class MechanismOptions(PlantOptions):
             if self.friction is not None and getattr(self, name) > 0.0:
                 raise ConfigurationError(name, getattr(self, name), "0, because `friction` is given and has this value")
 
-    def braked(self, robot: RobotParameters) -> PlantOptions:
+    def braked(self, robot: RobotParameters) -> Self:
+        """The same with brakes that hold the cranks with the motors' effort limits."""
         friction = FrictionOptions(coulomb=tuple(robot.effort_limits.tolist()))
         short = {name: self.__pydantic_fields__[name].default for name in ("motor_friction", "motor_damping")}
         return self.replace(**short, friction=friction)
