@@ -149,7 +149,7 @@ def test_the_schema_command_writes_what_the_checkout_holds(call):
 
 def test_tables_are_json_on_request_and_choose_columns_by_the_terminals_width(call, monkeypatch):
     status, out, err = call("check", "paper_fig7", "--json")
-    assert (status, err) == (0, "what each limit is: stewart-drake explain limits\n")
+    assert (status, err) == (0, "to explain the limits: stewart-drake explain limits\n")
     limits, machine = json.loads(out).values()
     assert limits["reach"]["bound"] == 0.98
     assert {"": "delay of a command [ticks]", "simulated": 0.0, "model": 0.0} in machine

@@ -8,7 +8,6 @@ import pytest
 from stewart_drake import Controller, load_scenario, run
 from stewart_drake.base.config import Positive
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.base.jit import fields, new_record
 from stewart_drake.base.registry import ADAPTATIONS
 from stewart_drake.control.base import AdaptationOptions
 from stewart_drake.control.friction_compensation import FrictionCompensation
@@ -26,7 +25,8 @@ class FrictionLearner(AdaptationOptions):
 
     def parts(self, context):
         believed = FrictionCompensation(width=0.01).part(context).parameters["friction"]
-        state = new_record(fields(**{self.output: believed.dtype}), **{self.output: believed})
+        state = np.zeros(1, [(self.output, believed.dtype)])
+        state[self.output] = believed
         constants = {"model": context.robot, "gain": self.gain * context.period, "name": self.output}
         return (Part("learner", learn, constants, {"measurement": 12, "reference": 18}, (self.output,), state),)
 
