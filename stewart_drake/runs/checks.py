@@ -325,15 +325,16 @@ class _AtRest:
         return pose, np.zeros_like(rate), np.zeros_like(acceleration)
 
 
-def _unit_hints(section: Section, key: str = "") -> list[str]:
+def _unit_hints(section: object, key: str = "") -> list[str]:
     """A sentence for each number of a section that is larger than its unit allows, but not in a smaller unit."""
-    hints = []
+    hints: list[str] = []
+    if not isinstance(section, Section):
+        return hints
     for name in section.__pydantic_fields__:
         value, units = getattr(section, name), section.unit_of(name).split(", ")
         place = f"{key or section.section_key}.{name}"
-        if isinstance(value, Section):
-            hints += _unit_hints(value, place)
-        if isinstance(value, tuple) and value and isinstance(value[0], Section):
+        hints += _unit_hints(value, place)
+        if isinstance(value, tuple):
             hints += [hint for k, part in enumerate(value) for hint in _unit_hints(part, f"{place}[{k}]")]
         flat = list(np.ravel(np.array(value, dtype=object))) if isinstance(value, (int, float, tuple)) else []
         length = 6 if len(flat) % 6 == 0 else max(1, len(flat))
