@@ -22,6 +22,7 @@ from stewart_drake.base.errors import ConfigurationError, DiskError
 PACKAGE = Path(__file__).resolve().parents[1]
 MAX_FILE_BYTES = 100_000_000  # [byte] of any file that a scenario names.
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+Document = dict[str, Any]  # JSON or YAML of any form.
 CHECKSUM = "checksum"  # Key that `seal` adds.
 NOT_FINITE = "not_finite"  # Key that `plain_json` adds.
 
@@ -140,7 +141,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
         lock.release()
 
 
-def plain_json(document: Mapping[str, object]) -> dict[str, Any]:
+def plain_json(document: Mapping[str, object]) -> Document:
     """A copy in values of strict JSON: null for numbers that are not finite.
 
     If there are such numbers it has another key, `not_finite`: dotted key -> nan, inf or -inf.
@@ -158,7 +159,7 @@ def plain_json(document: Mapping[str, object]) -> dict[str, Any]:
             return [plain(item, f"{name}.{index}") for index, item in enumerate(value)]
         return value
 
-    copy: dict[str, Any] = plain(document, "")
+    copy: Document = plain(document, "")
     return {**copy, NOT_FINITE: not_finite} if not_finite else copy
 
 
@@ -173,7 +174,7 @@ def seal(document: Mapping[str, object]) -> dict[str, object]:
     return {**document, CHECKSUM: checksum(document)}
 
 
-def unseal(content: str | bytes, key: str, made_by: str) -> dict[str, Any]:
+def unseal(content: str | bytes, key: str, made_by: str) -> Document:
     """The inverse of `seal`, from JSON; raises a ConfigurationError if the content was changed."""
     try:
         document = json.loads(content)

@@ -12,11 +12,11 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from stewart_drake.base.atomic_files import check_file, seal, unseal
+from stewart_drake.base.atomic_files import Document, check_file, seal, unseal
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.units import UNITS
 
@@ -189,7 +189,7 @@ def to_parquet(table: pa.Table) -> bytes:
     return stream.getvalue()
 
 
-def parquet_about(path: str | Path, source: str, key: str, max_bytes: int, made_by: str) -> dict[str, Any]:
+def parquet_about(path: str | Path, source: str, key: str, max_bytes: int, made_by: str) -> Document:
     """The metadata of `with_about` in a Parquet file; raises a ConfigurationError if the file was changed."""
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -15,7 +15,7 @@ from ruamel.yaml.composer import Composer
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.events import AliasEvent
 
-from stewart_drake.base.atomic_files import PACKAGE, read_checked
+from stewart_drake.base.atomic_files import PACKAGE, Document, read_checked
 from stewart_drake.base.config import did_you_mean, shorten, to_plain
 from stewart_drake.base.errors import ConfigurationError
 
@@ -59,7 +59,7 @@ def _of_another_kind(kind: str, name: str | Path, other: str, use: str) -> Confi
     return ConfigurationError(f"{kind} file", f"the {other} {name}", f"a {kind}; try: {use.replace('FILE', str(name))}")
 
 
-def read_mapping(kind: str, path: Path, max_name: int) -> dict[str, Any]:
+def read_mapping(kind: str, path: Path, max_name: int) -> Document:
     """Keys and values of a file; the default of `name` is its stem, cut to `max_name` characters."""
     place = f"{kind} file {path}"
     try:
@@ -104,9 +104,9 @@ def parse_yaml(text: str, key: str) -> Any:
         raise ConfigurationError(key, f"{where}{' '.join(problem.split())}", allowed) from None
 
 
-def parse_changes(texts: Iterable[str], example: str) -> dict[str, Any]:
+def parse_changes(texts: Iterable[str], example: str) -> Document:
     """Keys and plain values of `key=value` texts of `--set`; messages show `example`."""
-    changes: dict[str, Any] = {}
+    changes: Document = {}
     for text in texts:
         key, separator, value = (part.strip() for part in text.partition("="))
         if not separator or not key:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, TypedDict, cast
 
 import click
 
@@ -236,8 +236,16 @@ OPTIONS: dict[str, Settings] = {
 }
 """Parameter of a command's function -> its option, unless the command gives another."""
 ARGUMENTS = {name: _completed_from(f"{name}s") for name in ("scenario", "sweep", "comparison")}
-STUDY_OPTIONS = ("workers", "scheduler", "restart")
-"""Options of all commands of many runs, in `**options` of their functions."""
+
+
+class StudyOptions(TypedDict):
+    """Options of all commands of many runs, in `**options` of their functions."""
+
+    workers: int | None
+    scheduler: str | None
+    restart: bool
+
+
 GUESS = option("First guess of the robot: a YAML file or a name.", required=True, metavar="GUESS")
 
 
@@ -260,7 +268,7 @@ def command(
     def add(function: Callable[..., None]) -> click.Command:
         params: list[click.Parameter] = []
         for parameter in inspect.signature(function).parameters.values():
-            for part in STUDY_OPTIONS if parameter.kind is parameter.VAR_KEYWORD else (parameter.name,):
+            for part in StudyOptions.__annotations__ if parameter.kind is parameter.VAR_KEYWORD else (parameter.name,):
                 params.append(_parameter(part, str(parameter.annotation), settings.get(part), example))
         text = f"{COMMANDS[path].summary}.\n\n{inspect.cleandoc(function.__doc__ or '')}"
         return parent_group.command(name, cls=kind, help=text, params=params, **(group or {}))(function)

@@ -6,13 +6,13 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Unpack
 
 import click
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.cli import options as opt
-from stewart_drake.cli.options import command
+from stewart_drake.cli.options import StudyOptions, command
 from stewart_drake.cli.terminal import print_error, print_line, print_table, progress_bar
 from stewart_drake.runs.outputs import prepare_file, prepare_folder
 from stewart_drake.studies.workers import Workers
@@ -59,7 +59,7 @@ def _exit_if_refused(result: Result) -> None:
 
 
 @command("sweep")
-def sweep(sweep: str, out: Path | None, runs: int | None, trust_code: bool, **options: Any) -> None:
+def sweep(sweep: str, out: Path | None, runs: int | None, trust_code: bool, **options: Unpack[StudyOptions]) -> None:
     """SWEEP is a YAML file, or the name of a shipped one such as initial_offset.
 
     Writes sweep.parquet and .csv: one row per run, with random values, outcome and metrics. A run that is rejected,
@@ -80,7 +80,7 @@ def sweep(sweep: str, out: Path | None, runs: int | None, trust_code: bool, **op
 
 @command("compare", comparison="tracking")
 def compare(
-    comparison: str, out: Path | None, quick: bool, robot: str | None, trust_code: bool, **options: Any
+    comparison: str, out: Path | None, quick: bool, robot: str | None, trust_code: bool, **options: Unpack[StudyOptions]
 ) -> None:
     """COMPARISON is a YAML file or one of tracking, controllers, fair, observer, reachy [default: tracking].
 
@@ -105,7 +105,7 @@ def tune(
     budget: int | None,
     quick: bool,
     trust_code: bool,
-    **options: Any,
+    **options: Unpack[StudyOptions],
 ) -> None:
     """COMPARISON is a YAML file with the key `tune`, or a shipped name such as fair.
 
@@ -126,7 +126,12 @@ def tune(
 
 @command("faults", out="runs/faults", example="estimator.kind=observer")
 def faults(
-    out: Path, quick: bool, robot: str | None, overrides: tuple[str, ...], trust_code: bool, **options: Any
+    out: Path,
+    quick: bool,
+    robot: str | None,
+    overrides: tuple[str, ...],
+    trust_code: bool,
+    **options: Unpack[StudyOptions],
 ) -> None:
     """Writes faults.parquet, .csv and .md. --quick runs the platform at rest only, a third of the runs."""
     from stewart_drake.studies.experiment import run_experiment
@@ -162,7 +167,9 @@ def show(file: Path | None) -> None:
     plant=opt.option("Engine of the runs.", click.Choice(["drake", "closed_form"]), default="drake"),
     only=opt.option("A candidate besides the policy and the best fixed setting [default: all].", multiple=True),
 )
-def judge(file: Path | None, out: Path, seeds: int, plant: PlantKind, only: tuple[str, ...], **options: Any) -> None:
+def judge(
+    file: Path | None, out: Path, seeds: int, plant: PlantKind, only: tuple[str, ...], **options: Unpack[StudyOptions]
+) -> None:
     """FILE is a policy's weights file [default: the shipped one].
 
     The situations are not those of the training. Writes verdict.md, .parquet, .csv, .png and .pdf.

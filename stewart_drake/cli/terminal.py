@@ -89,11 +89,11 @@ def shown_compiling() -> Iterator[None]:
     from numba.core import event
 
     bar, depth, laws = working(""), 0, 0
-    interrupts: list[Any] = []
+    interrupts: list[tuple[Any, ...]] = []
     handler = signal.getsignal(signal.SIGINT)
 
     class Line(event.Listener):
-        def on_start(self, event: Any) -> None:  # noqa: ARG002
+        def on_start(self, event: object) -> None:  # noqa: ARG002
             nonlocal depth, laws
             if depth == 0:
                 _set_interrupt(lambda *received: interrupts.append(received))
@@ -101,7 +101,7 @@ def shown_compiling() -> Iterator[None]:
             bar.update(bar.task_ids[0], description=f"compiling, once on this machine: {laws} functions")
             bar.start()
 
-        def on_end(self, event: Any) -> None:  # noqa: ARG002
+        def on_end(self, event: object) -> None:  # noqa: ARG002
             nonlocal depth
             depth -= 1
             if depth == 0:

@@ -342,5 +342,5 @@ def _numbers(values: object, count: int) -> np.ndarray:
     return numbers
 
 
-def _number(value: object) -> float:
-    return float(_numbers(value, 1)[0])
+def _number(value: Any) -> float:
+    return float(_numbers(float(value), 1)[0])

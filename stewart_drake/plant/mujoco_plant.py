@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import importlib.util
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_rate_to_twist, rotation_matrix
 from stewart_drake.plant.model_files import home_frames, mjcf_text
 from stewart_drake.plant.mujoco_laws import ModelFrames, apply_forces, measure
-from stewart_drake.plant.plant_options import MechanismOptions, foreign_state
+from stewart_drake.plant.plant_options import MechanismOptions, Simulated, foreign_state
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import Moderate
 from stewart_drake.robot.robot_files import robot_model
@@ -41,17 +41,17 @@ _KEY = "plant.model_file"
 
 
 class MujocoOptions(MechanismOptions):
-    """MuJoCo on an MJCF file: the robot's own, one that its maker ships, or yours; extra `mujoco`.
+    """MuJoCo on an MJCF file, of `robot`, of its maker, or of yours; extra `mujoco`.
 
     Legs and frames are found in the model and must be those of `robot` within 1 mm. Masses are the model's, and so are
-    friction, damping, armature and joint limits where no key says otherwise.
+    friction, damping, armature and joint limits unless a key sets them.
     """
 
     joints_rub: ClassVar[bool] = True
     kind: Literal["mujoco"] = "mujoco"
     model_file: Text | None = None
     """MJCF file, from the folder of the file that names it; or `package:NAME==VERSION/path`, in an installed package;
-    or a robot's name or YAML file, for the `mjcf` that this names; null for our own MJCF of `robot`."""
+    or a robot's name or YAML file, for the `mjcf` that this names; null for one that is generated from `robot`."""
     motor_joints: tuple[Text, Text, Text, Text, Text, Text] | None = None
     """Names of the motors' joints, in any order; null takes those with an actuator."""
     motor_class: Text | None = None
@@ -62,9 +62,9 @@ class MujocoOptions(MechanismOptions):
     passive_armature: Moderate = 1.0
     """[-] factor on the armature of these joints, which a class that was made for motors may give them; 0 for none."""
     motor_damping: Moderate | None = None  # type: ignore[assignment]
-    """[N m s/rad] viscous friction of each motor; null for the model's, none in our own."""
+    """[N m s/rad] viscous friction of the motors; null for the model's, which is none in a generated one."""
     motor_friction: Moderate | None = None  # type: ignore[assignment]
-    """[N m] dry (Coulomb) friction of each motor; null for the model's, none in our own."""
+    """[N m] dry (Coulomb) friction of the motors; null for the model's, which is none in a generated one."""
 
     def rules(self) -> None:
         """Friction is given once, and without stiction; a model's keys need a model."""
@@ -95,7 +95,7 @@ class MujocoOptions(MechanismOptions):
     def make(self, robot: RobotParameters, gravity: float) -> MujocoPlant:
         return MujocoPlant(robot, self, gravity)
 
-    def simulated(self, robot: RobotParameters) -> tuple[dict[str, Any], list[tuple[str, Any, str]]]:
+    def simulated(self, robot: RobotParameters) -> Simulated:
         if self.model_file is None:
             return {}, []
         file = _File(self)
@@ -164,7 +164,7 @@ class _File:
         is_motor = (lambda joint: known[joint] in names) if names else partial(self._actuators, model)
         legs = mjcf_legs.find_legs(model, [joint for joint in hinges if is_motor(joint)])
         if isinstance(legs, int):
-            allowed = f"a model in which six motors each turn a crank with a rod to one platform, not {legs}"
+            allowed = f"a model with six motors that turn cranks with rods to one platform, not {legs}"
             hint = "a motor is a hinge with an actuator, or one of plant.motor_joints"
             raise ConfigurationError(_KEY, self.name, f"{allowed}; {hint}")
         self.legs, bodies = legs, {legs.platform, *(body for rods in legs.rods for body in rods)}
@@ -194,7 +194,7 @@ class _File:
         used = {geom.meshname for geom in spec.geoms}
         self._delete(spec.materials, spec.textures, [mesh for mesh in spec.meshes if mesh.name not in used])
 
-    def _delete(self, *groups: Any) -> None:
+    def _delete(self, *groups: Iterable[object]) -> None:
         for element in [element for group in groups for element in group]:
             self.spec.delete(element)
 

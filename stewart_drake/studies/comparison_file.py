@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Iterable, Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -12,7 +12,7 @@ from stewart_drake.base.config import Count, NotNegative, Positive, PositivePair
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.tables import Coordinate
 from stewart_drake.control.features import CostScales
-from stewart_drake.studies.experiment import StudyFile, StudyName
+from stewart_drake.studies.experiment import Keys, StudyFile, StudyName
 
 KINDS = ("controllers", "references", "conditions")
 
@@ -63,7 +63,7 @@ class TuneOptions(Section, key="tune"):
     """Settings in a generation, the same for all controllers."""
     seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (1,)
     """Seeds of the noise in the runs of the search, in place of the comparison's `seeds`."""
-    set: dict[Text, Any] = Field(default_factory=dict)
+    set: Keys = Field(default_factory=dict)
     """Scenario key -> value, in the runs of the search only."""
 
     def rules(self) -> None:
@@ -90,11 +90,11 @@ class CompareFile(StudyFile):
     """Keys of a comparison file."""
 
     name: StudyName = "comparison"
-    controllers: dict[Text, dict[Text, Any]]
+    controllers: dict[Text, Keys]
     """Name -> (scenario key -> value)."""
-    references: dict[Text, dict[Text, Any]]
+    references: dict[Text, Keys]
     """Name -> (scenario key -> value); `duration` and `initial_offset` may be among them."""
-    conditions: dict[Text, dict[Text, Any]] = Field(default_factory=lambda: {"nominal": dict[str, Any]()})
+    conditions: dict[Text, Keys] = Field(default_factory=lambda: {"nominal": Keys()})
     """Name -> (scenario key -> value), applied last."""
     best_of: dict[Text, BestOf] = Field(default_factory=dict)
     """Name -> the controllers of which it is the best."""

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 RowT = TypeVar("RowT", bound=Mapping[str, Any])
+Keys = dict[Text, Any]  # Scenario key -> value.
 StudyName = Annotated[Text, Field(max_length=80, pattern=NAME), with_message(f"at most 80 {NAME_WORDS}")]
 Tables = Mapping[str, tuple[Sequence[Column], list[Row]]]
 """Name of a table -> its columns, and its rows, which may have further values."""
@@ -59,7 +60,7 @@ class StudyFile(Section):
     """Name of the study, for the output folder and titles."""
     scenario: Text
     """The scenario to change: a file, relative to this one, or the name of a shipped scenario."""
-    set: dict[Text, Any] = Field(default_factory=dict)
+    set: Keys = Field(default_factory=dict)
     """Scenario key -> value, for every run."""
 
     @classmethod

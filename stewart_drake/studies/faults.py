@@ -28,7 +28,7 @@ from stewart_drake.plant.plant_options import CRANK_RATES, POSE, MechanismOption
 from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.safety import RAMP
 from stewart_drake.scenario.scenario import Scenario, load_scenario
-from stewart_drake.studies.experiment import Experiment, Tables, pivot, trial_of
+from stewart_drake.studies.experiment import Experiment, Keys, Tables, pivot, trial_of
 from stewart_drake.studies.robots import scale_to_robot
 from stewart_drake.studies.runs import Row, measure_all, simulate, simulate_unchecked
 
@@ -54,7 +54,7 @@ MOTIONS: Mapping[str, Mapping[str, object]] = _FILE["motions"]  # Name -> keys o
 class FaultCase(Section):
     name: Text
     text: Text
-    changes: dict[str, Any] = Field(default_factory=dict)
+    changes: Keys = Field(default_factory=dict)
     """Scenario key -> value. The motion replaces a `reference` among them."""
     expected: tuple[Reaction, ...] = ("ridden through",)
     monitors: tuple[Text, ...] = ()
@@ -66,7 +66,7 @@ class FaultCase(Section):
     """Whether the motion is checked before the run, as in a user's run."""
     since: NotNegative = ONSET
     """[s] onset of the fault; 0 for a fault from the start."""
-    encoders: dict[str, Any] | None = None
+    encoders: Keys | None = None
     """Keys of `sensors`, for a loop with encoders and a command delay of one tick; null for ideal sensors."""
     within: NotNegative | None = None
     """[s] largest latency of the trip, if the limits of the safety layer determine it; null if it depends on motion

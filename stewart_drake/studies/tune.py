@@ -271,7 +271,7 @@ def minimise(
 
     best, least = start, float(evaluate([start])[0])
     rng = np.random.default_rng(seed)
-    options: dict[str, Any] = {"bounds": [0.0, 1.0], "popsize": population, "verbose": -10, "verb_log": 0}
+    options: dict[str, object] = {"bounds": [0.0, 1.0], "popsize": population, "verbose": -10, "verb_log": 0}
     options |= {"randn": lambda *shape: rng.standard_normal(shape), "seed": np.nan}
     # CMA-ES needs two dimensions; a second one has no effect.
     inside = np.resize(np.append((start - low) / (high - low), 0.5), max(2, len(start)))

@@ -126,7 +126,7 @@ def test_a_slider_of_a_controller_that_is_gone_and_a_save_of_nothing_say_so(tmp_
         messages.append(session.message)
     assert messages[0] == "save: expected a loop that has run, got 'no row'"
     assert messages[1] == ""
-    assert messages[2].startswith("slider: expected one that there is now: controller.kp, ")
+    assert messages[2].startswith("slider: expected one of controller.kp, ")
     assert list(tmp_path.glob("runs/*")) == []
     session.run(until=0.05)
     assert session.loop.ended == ""
