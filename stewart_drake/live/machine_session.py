@@ -61,9 +61,9 @@ class MachineSession(PageSession):
         return reason
 
     def _advance(self, now: float) -> None:
-        time = self._motion.motion_time(now)
-        self._hand.advance(time)
-        if time > self.scenario.duration - RAMP:
+        elapsed = self._motion.motion_time(now)
+        self._hand.advance(elapsed)
+        if elapsed > self.scenario.duration - RAMP:
             self._hand.share.target = np.zeros(1)
 
     def _show(self, ended: threading.Event) -> None:

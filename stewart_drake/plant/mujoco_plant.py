@@ -164,7 +164,7 @@ class _File:
         is_motor = (lambda joint: known[joint] in names) if names else partial(self._actuators, model)
         legs = mjcf_legs.find_legs(model, [joint for joint in hinges if is_motor(joint)])
         if isinstance(legs, int):
-            allowed = f"a model with six motors that turn cranks with rods to one platform, not {legs}"
+            allowed = f"a model in which six motors each turn a crank with a rod to one platform, not {legs}"
             hint = "a motor is a hinge with an actuator, or one of plant.motor_joints"
             raise ConfigurationError(_KEY, self.name, f"{allowed}; {hint}")
         self.legs, bodies = legs, {legs.platform, *(body for rods in legs.rods for body in rods)}

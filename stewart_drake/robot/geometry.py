@@ -244,7 +244,7 @@ def _pairs(columns: Mapping[str, np.ndarray], shafts: np.ndarray) -> tuple[tuple
     if "pair" in columns:
         pairs = [tuple(np.flatnonzero(columns["pair"] == number).tolist()) for number in np.unique(columns["pair"])]
         if {len(legs) for legs in pairs} != {2}:
-            allowed = "three numbers, one per pair of legs, such as 0, 0, 1, 1, 2, 2"
+            allowed = "three numbers, each for the two legs of a pair, such as 0, 0, 1, 1, 2, 2"
             raise ConfigurationError("table: pair", columns["pair"].tolist(), allowed)
         return tuple(sorted((one, other) for one, other in pairs))
     apart = np.linalg.norm(shafts[:, None] - shafts, axis=-1) + np.diag(np.full(LEG_COUNT, np.inf))
