@@ -50,8 +50,9 @@ def python_lines() -> Iterator[str]:
             kind = "class" if isclass(exported) else "function"
             kind = "exception" if isclass(exported) and issubclass(exported, Exception) else kind
             # Keys of a section and fields of a tuple stand in the text of their class.
-            own = getattr(exported, "__pydantic_fields__", getattr(exported, "_fields", ["__init__"]))
-            left_out = f"   :exclude-members: {', '.join(own)}\n"
+            described = getattr(exported, "__pydantic_fields__", getattr(exported, "_fields", ["__init__"]))
+            # The last two are pydantic's.
+            left_out = f"   :exclude-members: {', '.join([*described, 'model_config', 'model_post_init'])}\n"
             yield f".. auto{kind}:: stewart_drake.{name}\n" + f"   :members:\n{left_out}" * isclass(exported)
         yield "```\n"
 

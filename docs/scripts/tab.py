@@ -28,7 +28,8 @@ from stewart_drake.control.base import AdaptationOptions
 from stewart_drake.control.features import TunerParams
 from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.export.fmu import plant_part
-from stewart_drake.export.loop import LoopSource, Signal
+from stewart_drake.export.loop import LoopSource
+from stewart_drake.export.types import Array
 from stewart_drake.live.session import CONTROLLERS
 from stewart_drake.live.start import about_robot
 from stewart_drake.live.steering import SmoothValue
@@ -217,11 +218,20 @@ def loop_source(scenario: Scenario) -> LoopSource:
         "asked": 6,
         **{source.signal: source.size for source in loop.sources},
     }
-    inside = {"plant_pose": Signal("loop->measured", 0, 12), "crank_state": Signal("loop->measured", 12, 12)}
+    inside = {
+        "plant_pose": Array("double", "loop->measured", (12,)),
+        "crank_state": Array("double", "loop->measured", (12,), "12"),
+    }
     source = LoopSource(parts, outside, inside, scenario.controller.period, step, {}, VARIABLE)
     constants = {"robot": numbers, "params": stops}
-    source.add_apart(Part("check", allowed_tick, constants, {"asked": 6}, (), Allowed.new(), (laws.Legs,)))
+    source.add(len(parts), Part("check", allowed_tick, constants, {"asked": 6}, (), Allowed.new(), (laws.Legs,)))
     return source
+
+
+def place_of(source: LoopSource, signal: str) -> tuple[int, int]:
+    """The double of the record with which a signal begins, and how many it has."""
+    part, output = next((p, name) for p in source.parts for name in p.outputs if p.signal(name) == signal)
+    return source.places[part.name][0] + part.initial.dtype.fields[output][1] // 8, part.size(output)
 
 
 def module_text(scenario: Scenario, source: LoopSource) -> str:
@@ -327,9 +337,9 @@ def robot_data(name: str, scenario: Scenario) -> dict[str, Any]:
             "places": source.places,
             "parts": [part.name for part in source.parts],
             "kinds": {part.name: str(part.initial.dtype) for part in source.parts},
-            "torque": source.place("motor_torque"),
-            "safety": source.place("safety"),
-            "setting": source.place("setting") if tunes else None,
+            "torque": place_of(source, "motor_torque"),
+            "safety": place_of(source, "safety"),
+            "setting": place_of(source, "setting") if tunes else None,
         }
     motion = scenario.reference
     return {

@@ -1,10 +1,7 @@
 """numba's decorator for laws, with a cache that depends on all sources.
 
-Laws are compiled functions; their arguments are numbers, arrays, and records, which are structured arrays (1,) of
-float64. With `NUMBA_DISABLE_JIT=1` they run in Python, for a debugger.
-
-Compiled code does not keep the array of a record alive. So one law allocates scratch memory, and an inner law, which
-gets the array, takes its record: never `record(np.empty(1, KIND))`.
+A law is a compiled function of numbers, arrays and `records`. With `NUMBA_DISABLE_JIT=1` laws run in Python, for a
+debugger.
 """
 
 from __future__ import annotations
@@ -17,14 +14,11 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
 from numba.core import caching
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
 
 _F = TypeVar("_F", bound=Callable[..., Any])
 
@@ -36,36 +30,6 @@ _FunctionCache: Any = caching.FunctionCache
 _LAWS: list[object] = []
 _typeof: Any = numba.typeof
 DISABLED = bool(_CONFIG.DISABLE_JIT)  # Whether laws run in Python, by `NUMBA_DISABLE_JIT=1`.
-
-
-def fields(**shapes: int | tuple[int, ...] | np.dtype) -> np.dtype:
-    """Dtype of a record: name -> size of a vector, shape of an array, () for a number, or dtype of a nested record."""
-    return np.dtype([(k, v) if isinstance(v, np.dtype) else (k, np.float64, v) for k, v in shapes.items()])
-
-
-def new_record(kind: np.dtype, options: object = None, **values: ArrayLike) -> np.ndarray:
-    """A structured array (1,) with the values, else with attributes of the options (None is infinite), else zero."""
-    result = np.zeros(1, dtype=kind)
-    for name in kind.names or ():
-        if hasattr(options, name) and name not in values:
-            value = getattr(options, name)
-            result[name][:] = np.inf if value is None else value
-    for name, value in values.items():
-        result[name][:] = value
-    return result
-
-
-if _CONFIG.DISABLE_JIT:
-
-    def record(array: Any) -> Any:
-        """The record of a structured array (1,), with its fields as attributes; a view."""
-        return array.view(np.recarray)[0]
-else:
-
-    @numba.njit(inline="always")
-    def record(array: Any) -> Any:
-        """The record of a structured array (1,), with its fields as attributes; a view."""
-        return array[0]
 
 
 def njit(function: _F) -> _F:

@@ -11,6 +11,9 @@ A record is declared as a class of annotated fields; it is stored as a structure
 
 A compiled law has `state: LqiState` among its arguments, and reads `record(state).torque[0]`. numba ignores the
 annotation; the type checker, the printer of C and the reader use it.
+
+In compiled code a record does not keep its array alive. So a law that makes a record passes the array on, and an inner
+law calls `record`: never `record(np.empty(1, KIND))`.
 """
 
 from __future__ import annotations

@@ -161,12 +161,16 @@ def print_table(
     terminal, table = console(), Table(show_header=any(header))
     # Numbers are not folded.
     whole = [any(header) and place in right for place in range(len(header))]
-    widths = [_least_width(*column) for column in zip(whole, header, *texts, strict=True)]
     max_width = max(_MAX_WORD, terminal.width // 3)
-    shown = max(2, sum(end < terminal.width for end in itertools.accumulate(3 + min(w, max_width) for w in widths)))
-    for place, name in enumerate(header[:shown]):
-        justify: JustifyMethod = "right" if place in right else "left"
-        table.add_column(escape(name), justify=justify, overflow="fold", no_wrap=whole[place])
+    widths = [min(_least_width(*column), max_width) for column in zip(whole, header, *texts, strict=True)]
+    shown = max(2, sum(end < terminal.width for end in itertools.accumulate(3 + width for width in widths)))
+    room = terminal.width - 1 - sum(3 + width for width in widths[:shown])
+    for place, (name, width, *cells) in enumerate(zip(header, widths, *texts, strict=True)):
+        if place < shown:
+            more = min(max(map(len, [name, *cells])) - width, max(room, 0))
+            room -= more
+            justify: JustifyMethod = "right" if place in right else "left"
+            table.add_column(escape(name), justify=justify, overflow="fold", width=width + more)
     for row in texts:
         table.add_row(*map(escape, row[:shown]))
     terminal.print(title, style="bold", markup=False, soft_wrap=True)

@@ -55,17 +55,18 @@ MEAN_FLOOR = 1e-9
 
 
 @njit
-def density_of(samples: Matrix, signed: bool, out: Vector) -> None:
-    """Densities (k,) [-] of the last sample of a window (n, k), oldest first, n <= m + 1 (fewer while it fills).
+def density_of(samples: Matrix, first: int, signed: bool, out: Vector) -> None:
+    """Densities (k,) [-] of the last sample of a window (m + 1, k), oldest first; rows before `first` do not count.
 
-    (35), (36), `signed`: x over the window's mean. Deviation: the printed form is singular where the signed sum crosses
-    zero; the result is limited to +-n there, and close to it decided by rounding errors. Otherwise |x| over the mean of
-    |x|, which lies in [0, n] and is well-conditioned.
+    (35), (36), `signed`: x over the mean of n rows. Deviation: the printed form is singular where the signed sum
+    crosses zero; the result is limited to +-n there, and close to it decided by rounding errors. Otherwise |x| over the
+    mean of |x|, which lies in [0, n] and is well-conditioned.
     """
-    count = samples.shape[0]
+    rows = samples.shape[0]
+    count = float(rows - first)
     for k in range(samples.shape[1]):
-        total, last = 0.0, samples[count - 1, k]
-        for row in range(count):
+        total, last = 0.0, samples[rows - 1, k]
+        for row in range(first, rows):
             total += samples[row, k] if signed else abs(samples[row, k])
         mean, value = total / count, last if signed else abs(last)
         out[k] = 1.0 if abs(mean) < MEAN_FLOOR else min(max(value / mean, -count), count)
@@ -83,7 +84,7 @@ def density_tick(window: Matrix, filled: Vec1, error: Vec6, torque: Vec6, signed
     copy_to(window[rows - 1, :6], error)
     copy_to(window[rows - 1, 6:], torque)
     filled[0] = min(filled[0] + 1.0, float(rows))
-    density_of(window[rows - int(filled[0]) :], signed, out)
+    density_of(window, rows - int(filled[0]), signed, out)
 
 
 def density(samples: np.ndarray, kind: DensityKind = "magnitude") -> np.ndarray:
@@ -91,7 +92,7 @@ def density(samples: np.ndarray, kind: DensityKind = "magnitude") -> np.ndarray:
     check_value("density", kind, DensityKind)
     values = np.ascontiguousarray(samples, dtype=float)
     out = np.empty(values.shape[1])
-    density_of(values, kind == "signed", out)
+    density_of(values, 0, kind == "signed", out)
     return out
 
 
@@ -108,13 +109,13 @@ class DensityState(Record):
     """State of the densities."""
 
     density: Vec12  # [-] of errors and torques.
-    filled: float  # Valid rows of the window.
+    filled: Vec1  # Valid rows of the window.
     window: Annotated[np.ndarray, ("rows", 12)]  # [rad, m, N m] errors and torques, oldest row first.
 
 
 def _density_tick(signed: bool, error: Vec6, torque: Vec6, state: DensityState) -> None:
     # Arrays and not the record, which would be compiled for every length of the window.
-    density_tick(state["window"][0], state["filled"], error, torque, signed, state["density"][0])
+    density_tick(state["window"][0], state["filled"][0], error, torque, signed, state["density"][0])
 
 
 # --- features ---------------------------------------------------------------------------------------------------------
@@ -180,8 +181,8 @@ class TunerState(Record):
 
 @njit
 def _plausible(signal: Vector) -> bool:
-    for value in signal:  # noqa: SIM110 - numba knows no generators here
-        if not abs(value) < LARGEST_SIGNAL:
+    for k in range(len(signal)):  # noqa: SIM110 - numba knows no generators here
+        if not abs(signal[k]) < LARGEST_SIGNAL:
             return False
     return True
 

@@ -10,7 +10,19 @@ from pydantic import Field
 from stewart_drake.base.config import Flag, Natural, Period, Positive, PositivePair
 from stewart_drake.base.errors import ConfigurationError, RiccatiError, Status
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat6, Mat6x18, Record, TickResult, Vec4, Vec6, Vec12, Vec18, Vector, record
+from stewart_drake.base.records import (
+    Mat6,
+    Mat6x1,
+    Mat6x18,
+    Record,
+    TickResult,
+    Vec4,
+    Vec6,
+    Vec12,
+    Vec18,
+    Vector,
+    record,
+)
 from stewart_drake.control.base import (
     AT_REFERENCE,
     REFERENCE,
@@ -207,7 +219,7 @@ def pose_problem(
     if status != laws.OK:
         return status, leg, margin
     for k in range(4):
-        problem.weights[k] = weights[k] if weights.size == 4 else weights[k // 3]
+        problem.weights[k] = weights[k] if weights.size == 4 else weights[0 if k < 3 else 1]
         if not 0.0 < problem.weights[k] < np.inf:
             return NO_WEIGHTS, -1, 0.0
     problem.changed = 0.0
@@ -296,6 +308,15 @@ def _feedforward(
 
 
 @njit
+def _integral_of_torque(gain: Mat6x18, column: Mat6x1) -> bool:
+    """The integral z that gives a torque (6, 1) by the last block of K, in its place; False where there is none."""
+    block = np.empty((6, 6))
+    for i in range(6):
+        copy_to(block[i], gain[i, 12:])
+    return solve(block, column) != 0.0
+
+
+@njit
 def _command(
     robot: Robot,
     params: LqiParams,
@@ -311,7 +332,7 @@ def _command(
         for i in range(6):
             for k in range(6):
                 column[i, 0] += problem.before[i, 12 + k] * integral[k]
-        if solve(problem.gain[:, 12:].copy(), column) == 0.0:
+        if not _integral_of_torque(problem.gain, column):
             return laws.NO_GAIN, -1, 0.0
         copy_to(integral, column[:, 0])
     force, wanted, error, torque = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
@@ -329,7 +350,7 @@ def _command(
         for i in range(6):
             cut[i, 0] = wanted[i] - torque[i]
         if any_nonzero(cut[:, 0]):
-            if solve(problem.gain[:, 12:].copy(), cut) == 0.0:
+            if not _integral_of_torque(problem.gain, cut):
                 return laws.NO_GAIN, -1, 0.0
             for k in range(6):
                 integral[k] += params.back_share * cut[k, 0]

@@ -262,10 +262,11 @@ def _correct(
     legs: Legs,
 ) -> TickResult:
     """Prediction and correction by readings with these cosines and sines; sets `state.read`."""
-    h = params.period
-    pose, rate = state.next[:6].copy(), state.next[6:].copy()
+    h, pose, rate = params.period, np.empty(6), np.empty(6)
+    start = state.read[:] if params.ahead == 0.0 else state.next[:]
+    copy_to(pose, start[:6])
+    copy_to(rate, start[6:])
     if params.ahead == 0.0:
-        pose, rate = state.read[:6].copy(), state.read[6:].copy()
         status, leg, margin = predict(robot, params, state.commands[0], state.disturbance[:], pose, rate, legs)
         if status != OK:
             return status, leg, margin
@@ -296,11 +297,13 @@ def _correct(
     if sign != state.assembly_sign:
         copy_to(state.measurement[:6], pose)
         return PARALLEL, -1, 0.0
-    predicted = pose.copy()
-    laws.rate_of(predicted, turned[:, 0], change)
+    predicted, to_pose, to_pose_rate = pose.copy(), np.empty(6), np.empty(6)
+    for k in range(6):
+        to_pose[k], to_pose_rate[k] = turned[k, 0], turned[k, 1]
+    laws.rate_of(predicted, to_pose, change)
     for k in range(6):
         pose[k] += change[k]
-    laws.rate_of(predicted, turned[:, 1], change)
+    laws.rate_of(predicted, to_pose_rate, change)
     for k in range(6):
         rate[k] += change[k]
     copy_to(state.read[:6], pose)

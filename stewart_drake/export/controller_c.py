@@ -12,32 +12,24 @@ from stewart_drake import __version__
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import FAILURES, ConfigurationError, RunFailure
 from stewart_drake.base.sampling import on_grid
-from stewart_drake.export.loop import LoopSource, table_of
-from stewart_drake.export.printer import TEMPLATES
-from stewart_drake.export.values import number
+from stewart_drake.export.loop import LoopSource
+from stewart_drake.export.program import from_template
+from stewart_drake.export.types import number
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.scenario.assembly import ControlSide, control_side
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.controller import Controller, controller_parts
 
-REPLAYED = 1.0
-"""[s] of readings in `replay.csv`, or the whole motion where it is shorter."""
 REASONS = ", ".join(f'"{reason}"' for reason in FAILURES)
-SWING = 1e-4
-"""[rad, m] by which those readings are off the reference, so that there is something to control."""
-MOST_ROWS = 100_000
-"""Of a reference's table."""
+REPLAYED = 1.0  # [s] of readings in `replay.csv`, or the whole motion where it is shorter.
+SWING = 1e-4  # [rad, m] by which those readings are off the reference, so that there is something to control.
+MOST_ROWS = 100_000  # Of a reference's table.
 
 
 def c_name(name: str) -> str:
     """A name of a scenario as one of C."""
     name = re.sub(r"\W", "_", name, flags=re.ASCII)
     return name if name[:1].isalpha() else f"robot_{name}"
-
-
-def from_template(file: str, words: Mapping[str, str]) -> str:
-    """A template with words in the places of their names."""
-    return re.sub(r"@(\w+)@", lambda match: words[match[1]], (TEMPLATES / file).read_text(encoding="utf-8"))
 
 
 def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
@@ -51,7 +43,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
             "null: what learns is not printed; run with --keep-model FILE, and export with the `model` that it leaves"
         )
         raise ConfigurationError("adaptation.kind", options.adaptation.kind, allowed)
-    own, side, age = c_name(name), control_side(options, split=True), np.zeros(1)
+    prefix, side, age = c_name(name), control_side(options, split=True), np.zeros(1)
     parts = controller_parts(options, side, age)
     outside = {"time": 1, side.reading: side.context.reading, **{source.signal: source.size for source in side.sources}}
     loop = LoopSource(parts, outside, {}, side.context.period, options.reading_period, {"age": age})
@@ -61,57 +53,44 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
         loop.program.helper(helper)
     ticks = min(round(getattr(options, "duration", 10.0) / options.reading_period) + 1, MOST_ROWS)
     given = "".join(
-        f"    for (int k = 0; k < 18; k++) {{\n        loop->{name}[k] = reference[{start} + k];\n    }}\n"
-        for start, name in ((18 * n, source.signal) for n, source in enumerate(side.sources))
+        f"    for (int k = 0; k < 18; k++) {{\n        loop->{source.signal}[k] = reference[{18 * n} + k];\n    }}\n"
+        for n, source in enumerate(side.sources)
     )
-    words = {
-        "NAME": own,
-        "UPPER": own.upper(),
-        "SCENARIO": name,
-        "VERSION": __version__,
-        "PERIOD": number(options.reading_period).text,
-        "GRID": number(on_grid(options.reading_period)).text,
-        "TICK": number(side.context.period).text,
-        "READING": str(side.context.reading),
-        "READS": side.reading,
-        "REFERENCE": str(18 * len(side.sources)),
-        "NUMBERS": str(loop.numbers),
-        "UNIT": side.unit,
-        "TAKES": str({"rad": 0, "N m": 1, "A": 2}[side.unit]),
-        "NEEDS": "READING | MEASURED" if side.context.feedback else "READING",
-        "MEANS": "angles of the cranks [rad]" if side.context.reading == 6 else "pose [rad, m] and its rate",
-        "LIMIT": loop.program.table("command_limit", limit).base,
-        "COMMAND": loop.signals[command].text,
-        "PARTS": ", ".join(f'"{part.name}"' for part in parts),
-        "REASONS": REASONS,
-        "GIVEN": given.rstrip(),
-        "LOOP": loop.text().rstrip(),
-        "ROWS": str(ticks),
-        "TABLE": table_of(_reference(side, options.reading_period, ticks)),
-    }
-    wanted = {"controller.h": f"{own}.h", "controller.c": f"{own}.c", "reference.c": f"{own}_reference.c"}
-    wanted |= {"main.c": "main.c", "Makefile": "Makefile"}
-    if side.context.reading == 6:
-        wanted["board.c"] = "board.c"
-    files = {}
-    for template, file in wanted.items():
-        files[file] = from_template(template, words)
+    reads_angles, period = side.context.reading == 6, options.reading_period
+    words = {"NAME": prefix, "UPPER": prefix.upper(), "SCENARIO": name, "VERSION": __version__, "REASONS": REASONS}
+    words |= {"PERIOD": number(period).text, "GRID": number(on_grid(period)).text, "UNIT": side.unit}
+    words |= {"TICK": number(side.context.period).text, "READING": str(side.context.reading), "READS": side.reading}
+    words |= {"REFERENCE": str(18 * len(side.sources)), "NUMBERS": str(loop.numbers), "GIVEN": given.rstrip()}
+    words |= {"TAKES": str({"rad": 0, "N m": 1, "A": 2}[side.unit]), "ROWS": str(ticks)}
+    words |= {"NEEDS": "READING | MEASURED" if side.context.feedback else "READING"}
+    words |= {"MEANS": "angles of the cranks [rad]" if reads_angles else "pose [rad, m] and its rate"}
+    words |= {"LIMIT": loop.program.table("command_limit", limit).base, "COMMAND": loop.signals[command].pointer}
+    words |= {"PARTS": ", ".join(f'"{part.name}"' for part in parts), "LOOP": loop.text().rstrip()}
+    words |= {"TABLE": _reference(side, period, ticks)}
+    wanted = {"controller.h": f"{prefix}.h", "controller.c": f"{prefix}.c", "reference.c": f"{prefix}_reference.c"}
+    wanted |= {name: name for name in ("main.c", "Makefile", *(["board.c"] if reads_angles else []))}
+    files = {file: from_template(template, words) for template, file in wanted.items()}
     return {**files, "replay.csv": _replay(options, side)}
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> list[Path]:
+    """Writes files, by name, into a folder; their paths."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for file, content in files.items():
+        write_atomically(folder / file, content)
+    return [folder / file for file in files]
 
 
 def export_controller(options: ControlOptions, name: str, folder: Path) -> list[Path]:
     """Writes `controller_files` into a folder; their paths."""
-    files = controller_files(options, name)
-    folder.mkdir(parents=True, exist_ok=True)
-    for file, text in files.items():
-        write_atomically(folder / file, text.encode())
-    return [folder / file for file in files]
+    return write_files(folder, {file: text.encode() for file, text in controller_files(options, name).items()})
 
 
-def _reference(side: ControlSide, period: float, ticks: int) -> np.ndarray:
-    """Reference (ticks, 18), and what is ahead beside it, at each step."""
+def _reference(side: ControlSide, period: float, ticks: int) -> str:
+    """Rows of a C array: the reference, and what is ahead beside it, at each step."""
     times = np.arange(ticks) * on_grid(period)
-    return np.concatenate([source.evaluate(times) for source in side.sources], axis=1)
+    rows = np.concatenate([source.evaluate(times) for source in side.sources], axis=1)
+    return ",\n".join("    {" + ", ".join(number(value).text for value in row) + "}" for row in rows)
 
 
 def readings_along(options: ControlOptions, side: ControlSide, ticks: int) -> np.ndarray:

@@ -1,260 +1,129 @@
-"""Expressions of laws as C: what they are, see `values`, and what has to stand before the statement they are in."""
+"""Expressions of a law as C, with calls of numpy's and Python's functions and of other laws."""
 
 from __future__ import annotations
 
 import ast
-import inspect
-import math
+import builtins
 import re
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stewart_drake.export.values import (
-    ATOM,
-    C_TYPES,
-    CHOICE,
-    CONJUNCTION,
-    DISJUNCTION,
-    EQUALITY,
-    PRODUCT,
-    RELATION,
-    SUM,
-    UNARY,
-    Array,
-    Axis,
-    Call,
-    Constant,
-    Entrywise,
-    Record,
-    Scalar,
-    Several,
-    Unknown,
-    Value,
-    number,
-    wider,
-)
+from stewart_drake.base.records import record
+from stewart_drake.export import types as c
+from stewart_drake.export.source import Source, last_name
+from stewart_drake.export.types import Array, Constant, Local, Scalar, Struct, TupleType, Untyped, Value, number, wider
 
 if TYPE_CHECKING:
-    from stewart_drake.export.printer import Program
+    from stewart_drake.export.program import Program
 
-FIELDS = ("first", "second", "third", "fourth")
-BINARY = {ast.Add: ("+", SUM), ast.Sub: ("-", SUM), ast.Mult: ("*", PRODUCT), ast.Div: ("/", PRODUCT)}
-_COMPARED = {
-    ast.Lt: ("<", RELATION), ast.LtE: ("<=", RELATION), ast.Gt: (">", RELATION), ast.GtE: (">=", RELATION),
-    ast.Eq: ("==", EQUALITY), ast.NotEq: ("!=", EQUALITY),
-}  # fmt: skip
+FIELDS = ("first", "second", "third", "fourth")  # Of the struct in which a function returns several numbers.
+BINARY = {ast.Add: ("+", c.SUM), ast.Sub: ("-", c.SUM), ast.Mult: ("*", c.PRODUCT), ast.Div: ("/", c.PRODUCT)}
+_COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
+_MATH: dict[Any, str] = {np.arcsin: "asin", np.arccos: "acos", np.arctan2: "atan2", np.abs: "fabs", abs: "fabs"}
+_MATH |= {getattr(np, name): name for name in ("sin", "cos", "tanh", "exp", "sqrt", "rint", "log10", "hypot")}
+_MATH |= {getattr(np, name): name for name in ("minimum", "maximum", "isfinite", "isnan")} | {np.sign: "sign_of"}
 
 
 class Expressions:
-    """A function whose statements are being printed: its variables, and the lines so far."""
+    """A function that is being printed."""
 
-    program: Program
-    function: Any
-    values: dict[str, Value]
-    known: dict[str, str]  # Kinds of numbers by the names of variables.
-    written: set[str]  # Arguments that are changed.
-    lines: list[str]
-    indent: str
-    used: set[str]
-    taken: set[str]
-    avoided: frozenset[str]
-    temporaries: set[str]
+    def __init__(self, program: Program, function: Any, source: Source) -> None:
+        self.program, self.function, self.source = program, function, source
+        self.values: dict[str, Value] = {}  # Variables by their names in Python.
+        self.written: set[str] = set()  # Arguments that are changed.
+        self.lines: list[str] = []  # What has been printed, with the marks of `unless_written`.
+        self.indent, self.line = "    ", source.tree.lineno
+        self.c_name, nodes = source.c_name, ast.walk(source.tree)
+        self.taken = {self.c_name(node.id) for node in nodes if isinstance(node, ast.Name)} | source.avoided
 
     # --- names and lines ---
 
-    def c_name(self, name: str) -> str:
-        """A variable's name in C."""
-        own = name.strip("_") or "unused"
-        return f"{own}_" if own in self.avoided else own
-
-    def _struct(self, kind: np.dtype, hint: str) -> str:
-        return self.program.record(kind, hint, self.function)
-
     def fresh(self, hint: str) -> str:
         """A name that nothing else has."""
-        name, n = hint, 1
-        while name in self.taken or name in self.avoided:
-            name, n = f"{hint}_{n}", n + 1
+        name = next(x for x in (hint, *(f"{hint}_{n}" for n in range(1, 100))) if x not in self.taken)
         self.taken.add(name)
         return name
 
     def emit(self, text: str) -> None:
         """Adds a line."""
-        self.lines.append(f"{self.indent}{text}\n")
+        self.lines.append(self.indent + text)
 
-    def _several(self, value: Several, hint: str) -> Several:
-        """Several values; those of a call are kept under a name."""
-        if not isinstance(value, Call):
-            return value
-        name = self.fresh(hint)
-        kinds = [each.kind for each in value.items]
-        self.emit(f"const {self.program.result(kinds)} {name} = {value.text};")
-        return Several(tuple(Scalar(kind, f"{name}.{f}") for kind, f in zip(kinds, FIELDS, strict=False)))
+    def unless_written(self, root: str | None, text: str, otherwise: str = "") -> str:
+        """Text for a part of an argument that is not changed, or of a constant; marked until that is known."""
+        return f"\0{root}\1{text}\1{otherwise}\0" if root else otherwise if root == "" else text
 
-    def _mark(self, value: Value) -> None:
-        """Remembers that an argument is written."""
-        root = getattr(value, "root", "")
-        if root is None:
-            raise Unknown("an assignment to a constant")
-        if root:
-            self.written.add(root)
+    def mark(self, value: Value) -> None:
+        """Remembers that an argument is changed."""
+        if isinstance(value, (Array, Struct)):
+            if value.root is None:
+                raise Untyped("an assignment to a constant")
+            self.written.add(value.root)
 
-    @contextmanager
-    def _loops(self, sizes: Sequence[int | str]) -> Iterator[list[str]]:
-        """Nested loops over indices of an array; what is emitted within stands in the innermost."""
-        before, taken, indices = self.indent, set(self.taken), list[str]()
-        for size in sizes:
-            indices.append(self.fresh("kmnp"[len(indices)]))
-            self.emit(f"for (int {indices[-1]} = 0; {indices[-1]} < {size}; {indices[-1]}++) {{")
-            self.indent += "    "
-        yield indices
-        while self.indent != before:
-            self.indent = self.indent[:-4]
-            self.emit("}")
-        self.taken = taken
+    def named(self, value: TupleType, hint: str) -> tuple[Any, ...]:
+        """The values of a tuple; those of a call are kept under a name."""
+        if not value.call:
+            return value.items
+        name, kinds = self.fresh(hint), [item.kind for item in value.items]
+        self.emit(f"const {self.program.result(kinds)} {name} = {value.call};")
+        return tuple(Scalar(kind, f"{name}.{field}") for kind, field in zip(kinds, FIELDS, strict=False))
 
-    def _local(self, kind: str, name: str, shape: Sequence[int | str]) -> Array:
-        """A new array."""
-        if not all(isinstance(size, int) for size in shape):
-            raise Unknown("an array whose size is computed")
-        sizes = tuple(int(size) for size in shape)
-        self.emit(f"{C_TYPES[kind]} {name}{''.join(f'[{size}]' for size in sizes)};")
-        return Array(kind, name, sizes[1:], tuple(Axis("0", size) for size in sizes))
-
-    def _fill(self, place: Array, value: Value, sign: str = "=") -> None:
-        self._mark(place)
-        if isinstance(value, Several):
-            for k, each in enumerate(value.items):
-                self.emit(f"{place.at([str(k)]).text} {sign} {self._as_scalar(each).text};")
-        elif not (isinstance(value, Entrywise) and value.at is nothing):
-            with self._loops(place.shape) as indices:
-                self.emit(f"{place.at(indices).text} {sign} {self._entry(value, indices, place.shape).text};")
-
-    def _entry(self, value: Value, indices: Sequence[str], shape: Sequence[int | str]) -> Scalar:
-        if isinstance(value, Scalar):
-            return value
-        if not isinstance(value, (Array, Entrywise)) or tuple(value.shape) != tuple(shape):
-            raise Unknown(f"an array of another shape than {tuple(shape)}")
-        return value.at(indices)
-
-    def stored(self, value: Value, hint: str) -> Array:
-        """An array as it can be passed on: as it is, or kept under a name."""
-        if isinstance(value, Array) and not value.flipped and not value.hidden:
-            return value
-        if isinstance(value, Several):
-            items = [self._as_scalar(each) for each in value.items]
-            name = hint if hint not in self.taken or hint in self.used else self.fresh(hint)
-            text = ", ".join(each.text for each in items)
-            self.emit(f"const double {name}[{len(items)}] = {{{text}}};")
-            return Array("double", name, (), (Axis("0", len(items)),), None)
-        if not isinstance(value, (Array, Entrywise)):
-            raise Unknown("no array")
-        result = self._local(value.kind, self.fresh(hint), value.shape)
-        self._fill(result, value)
-        self.temporaries.add(result.base)
-        return result
-
-    def _indices(self, node: ast.expr, owner: Value) -> list[Axis | None]:
-        parts = node.elts if isinstance(node, ast.Tuple) else [node]
-        shape = [1, *owner.shape] if isinstance(owner, Array) and owner.hidden else list(getattr(owner, "shape", [1]))
-        places: list[Axis | None] = []
-        for part, size in zip(parts, shape, strict=False):
-            if not isinstance(part, ast.Slice):
-                place = self.scalar(part)
-                if place.kind != "int":
-                    raise Unknown("an index that is no integer")
-                if place.value is not None and place.value < 0:
-                    place = number(size + place.value)
-                places.append(Axis(place.within(SUM)))
-                continue
-            if part.step is not None:
-                raise Unknown("a slice with a step")
-            if part.lower is None and part.upper is None:
-                places.append(None)
-                continue
-            start = number(0) if part.lower is None else self.scalar(part.lower)
-            stop = number(size) if part.upper is None else self.scalar(part.upper)
-            ends = [
-                each if each.value is None or each.value >= 0 else number(size + each.value) for each in (start, stop)
-            ]
-            if all(each.value is not None for each in ends):
-                length: int | str = min(ends[1].value, size) - ends[0].value
-            elif ends[1].value == size and not places:
-                name = self.fresh("start")
-                self.emit(f"const int {name} = {ends[0].text};")
-                ends[0], length = Scalar("int", name), f"{size} - {name}"
-            else:
-                raise Unknown("a slice whose end is computed")
-            places.append(Axis(ends[0].within(SUM), length))
-        return places
-
-    def _part(self, owner: Value, places: list[Axis | None]) -> Value:
-        if isinstance(owner, Constant) and isinstance(owner.value, tuple):
-            place = places[0]
-            if place is not None and place.start.isdigit():
-                return number(owner.value[int(place.start)])
-            raise Unknown("an index of this kind")
-        if isinstance(owner, Several):
-            place = places[0]
-            if place is None or not place.start.isdigit():
-                raise Unknown("an index of several values that is not known")
-            return self._several(owner, "result").items[int(place.start)]
-        if isinstance(owner, Entrywise):
-            owner = self.stored(owner, "kept")
-        if not isinstance(owner, Array):
-            raise Unknown("an index of what is no array")
-        if owner.hidden:
-            owner, places = owner._replace(hidden=False), places[1:]
-        part = owner.indexed(places[::-1] if owner.flipped else places)
-        return part if part.shape else part.at([])
+    def made(self, value: Local, name: str) -> Array | Struct:
+        """A new array or record under a name."""
+        of, source = value.of, value.source
+        if isinstance(of, c.StructType):
+            text = f" = {source.text}" if isinstance(source, Struct) else ""
+            self.emit(f"struct {self.program.struct(of)} {name}{text};")
+            return Struct(of, f"&{name}")
+        self.emit(f"double {name}{''.join(f'[{size}]' for size in of)}{' = {0}' if value.zeros else ''};")
+        if isinstance(source, Array):
+            stars = "*" * (len(of) - 1)
+            pointer = f"({source.pointer})" if stars and source.start != "0" else source.pointer
+            copied = f"{stars}{name}, {stars}{pointer}, {int(np.prod(of))}"
+            self.emit(f"{self.program.helper('copy_numbers')}({copied});")
+        return Array("double", name, of)
 
     # --- expressions ---
-
-    def scalar(self, node: ast.expr) -> Scalar:
-        """An expression that is a number."""
-        return self._as_scalar(self.value(node))
-
-    def _as_scalar(self, value: Value) -> Scalar:
-        if isinstance(value, Scalar):
-            return value
-        if isinstance(value, Constant) and isinstance(value.value, (bool, int, float, np.generic)):
-            return number(value.value)
-        raise Unknown("no number where one is needed")
 
     def value(self, node: ast.expr) -> Value:
         """An expression."""
         method = getattr(self, f"_{type(node).__name__.lower()}_value", None)
         if method is None:
-            raise Unknown("this kind of expression")
+            raise Untyped("this kind of expression")
         result: Value = method(node)
         return result
+
+    def scalar(self, of: ast.expr | Value) -> Scalar:
+        """An expression, or its value, that is a number."""
+        value = self.value(of) if isinstance(of, ast.expr) else of
+        if isinstance(value, Constant) and isinstance(value.value, (bool, int, float, np.generic)):
+            return number(value.value)
+        if not isinstance(value, Scalar):
+            raise Untyped(f"{c.described(value)} where a number is needed; write a loop over its numbers")
+        return value
 
     def _constant_value(self, node: ast.Constant) -> Value:
         return number(node.value) if isinstance(node.value, (bool, int, float)) else Constant(node.value)
 
     def _name_value(self, node: ast.Name) -> Value:
+        scope = self.function.__globals__
         if node.id in self.values:
             return self.values[node.id]
-        scope = self.function.__globals__
         if node.id in scope:
-            return self._global([node.id], scope[node.id], inspect.getmodule(self.function))
-        builtins = scope["__builtins__"]
-        found = builtins.get(node.id) if isinstance(builtins, dict) else getattr(builtins, node.id, None)
-        if found is None:
-            raise Unknown(f"the name {node.id}")
-        return Constant(found)
+            return self._global([node.id], scope[node.id], self.function.__module__)
+        if not hasattr(builtins, node.id):
+            raise Untyped(f"the name {node.id}")
+        return Constant(getattr(builtins, node.id))
 
-    def _global(self, names: list[str], value: Any, module: Any) -> Value:
+    def _global(self, names: Sequence[str], value: Any, module: str) -> Value:
         if isinstance(value, (bool, int, float)):
             return self.program.constant(names, value, module)
-        if isinstance(value, np.ndarray) and value.dtype.kind in "fib":
+        if type(value) is tuple and value and all(isinstance(x, (int, float)) for x in value):
+            value = np.array(value)
+        if isinstance(value, np.ndarray) and value.dtype.kind in "fi":
             return self.program.table("_".join(names).strip("_").upper(), value)
-        if type(value) is tuple and value and all(type(each) is float for each in value):
-            return self.program.table("_".join(names).strip("_").upper(), np.array(value))
         return Constant(value)
 
     def _attribute_value(self, node: ast.Attribute) -> Value:
@@ -262,181 +131,179 @@ class Expressions:
         if isinstance(owner, Constant):
             value = getattr(owner.value, node.attr)
             if isinstance(owner.value, ModuleType):
-                return self._global([node.attr], value, owner.value)
-            return self._global([last_name(node.value) or "", node.attr], value, inspect.getmodule(self.function))
-        if isinstance(owner, Record):
-            return owner.attribute(node.attr)
-        if isinstance(owner, (Array, Entrywise)):
-            if node.attr == "shape":
-                return Several(tuple(number(n) if isinstance(n, int) else Scalar("int", n) for n in owner.shape))
-            if node.attr == "size" and all(isinstance(n, int) for n in owner.shape):
-                return number(math.prod(int(n) for n in owner.shape))
-            if node.attr == "T" and isinstance(owner, Array) and len(owner.shape) == 2:
-                return owner._replace(flipped=not owner.flipped)
-        raise Unknown(f"the attribute {node.attr}")
+                return self._global([node.attr], value, owner.value.__name__)
+            return self._global([last_name(node.value), node.attr], value, self.function.__module__)
+        if isinstance(owner, Struct):
+            return owner.field(node.attr)
+        if isinstance(owner, Array) and node.attr == "shape":
+            return TupleType(tuple(map(number, owner.shape)))
+        if isinstance(owner, Array) and node.attr == "size":
+            return number(int(np.prod(owner.shape)))
+        raise Untyped(f"the attribute {node.attr}; write a loop")
 
     def _subscript_value(self, node: ast.Subscript) -> Value:
+        if ast.unparse(node.slice) == "0" and isinstance(node.value, ast.Subscript):
+            field, of = getattr(node.value.slice, "value", None), self.value(node.value.value)
+            if isinstance(of, Struct) and isinstance(field, str):  # `state["field"][0]` of an array of one record
+                return of.field(field)
         owner = self.value(node.value)
-        if isinstance(owner, Record):
-            if isinstance(node.slice, ast.Constant) and isinstance(node.slice.value, str):
-                return owner.entry(node.slice.value)
+        indices = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
+        if isinstance(owner, Struct) and ast.unparse(node.slice) == "0":
             return owner
-        return self._part(owner, self._indices(node.slice, owner))
+        if isinstance(owner, TupleType):
+            return self.named(owner, "result")[self._index(node.slice, 0)]
+        if not isinstance(owner, Array) or len(indices) > len(owner.shape):
+            raise Untyped(f"an index of `{c.described(owner)}`")
+        part = owner
+        for n, index in enumerate(indices):
+            if not isinstance(index, ast.Slice):
+                place = self.scalar(index)
+                if place.kind != "int" or (place.value or 0) < 0:
+                    raise Untyped("an index that is no integer, or negative; write `int(...)`, or count from 0")
+                part = part.row(place.within(c.SUM))
+                continue
+            start, stop = self._index(index.lower, 0), self._index(index.upper, part.shape[0])
+            if n < len(indices) - 1 and (start, part.shape[1:], ast.unparse(indices[-1])) == (0, (1,), "0"):
+                return part.row("0")._replace(shape=(stop,))  # The one column of a matrix.
+            if index.step or n < len(indices) - 1:
+                raise Untyped("a part of an array that is not side by side in memory; copy it in a loop")
+            part = part.rows(start, min(stop, part.shape[0]))
+        return part if part.shape else Scalar(part.kind, part.base)
+
+    def _index(self, node: ast.expr | None, default: int) -> int:
+        value = default if node is None else self.scalar(node).value
+        if not isinstance(value, int) or value < 0:
+            raise Untyped("a slice with ends that are computed, or negative; write a loop, or pass its first index")
+        return value
 
     def _tuple_value(self, node: ast.Tuple) -> Value:
-        return Several(tuple(self.value(each) for each in node.elts))
+        return TupleType(tuple(self.value(item) for item in node.elts))
 
     def _unaryop_value(self, node: ast.UnaryOp) -> Value:
-        value = self.value(node.operand)
+        of = self.scalar(node.operand)
         if isinstance(node.op, ast.Not):
-            of = self._as_scalar(value)
-            if of.value is not None:
-                return number(not of.value)
-            return Scalar("bool", f"!{of.within(UNARY)}", UNARY)
+            return Scalar("bool", f"!{of.within(c.UNARY)}", c.UNARY)
         if not isinstance(node.op, ast.USub):
-            raise Unknown("an operator of this kind")
-
-        def negative(of: Scalar) -> Scalar:
-            if of.value is not None and of.text[0].isdigit():
-                return number(-of.value)
-            text = of.within(ATOM) if of.text.startswith("-") else of.within(UNARY)
-            return Scalar(of.kind, f"-{text}", UNARY, None if of.value is None else -of.value)
-
-        return self._mapped(negative, value)
+            raise Untyped("an operator of this kind")
+        if of.value is not None and of.text[0].isdigit():
+            return number(-of.value)
+        text = f"({of.text})" if of.text.startswith("-") else of.within(c.UNARY)
+        return Scalar(of.kind, f"-{text}", c.UNARY, None if of.value is None else -of.value)
 
     def _binop_value(self, node: ast.BinOp) -> Value:
-        left, right = self.value(node.left), self.value(node.right)
-        if isinstance(node.op, ast.MatMult):
-            return self._product(left, right)
+        left, right = self.scalar(node.left), self.scalar(node.right)
         if isinstance(node.op, ast.Pow):
-            return self._mapped(lambda base: self._power(base, self._as_scalar(right)), left)
-        if isinstance(node.op, (ast.Mod, ast.FloorDiv)):
-            a, b = self._as_scalar(left), self._as_scalar(right)
-            if isinstance(node.op, ast.Mod):
-                return Scalar("double", f"{self.program.helper('modulo')}({a.text}, {b.text})")
-            if a.kind != "int" or not (b.value or 0) > 0:
-                raise Unknown("a whole quotient of what may be negative")
-            return Scalar("int", f"{a.within(PRODUCT)} / {b.within(PRODUCT + 1)}", PRODUCT)
+            return self._power(left, right)
+        if isinstance(node.op, ast.Mod) and "double" in (left.kind, right.kind):
+            return Scalar("double", f"{self.program.helper('modulo')}({left.text}, {right.text})")
         if type(node.op) not in BINARY:
-            raise Unknown("an operator of this kind")
+            raise Untyped("an operator of this kind; products of matrices are loops")
         sign, binding = BINARY[type(node.op)]
-
-        def both(a: Scalar, b: Scalar) -> Scalar:
-            kind = wider(wider("int", a.kind), b.kind)
-            if kind == "int" and a.value is not None and b.value is not None and sign != "/":
-                value = {"+": a.value + b.value, "-": a.value - b.value, "*": a.value * b.value}[sign]
-                if a.text.isdigit() and b.text.isdigit():
-                    return number(value)
-            first = a.within(binding)
-            if sign == "/" and kind == "int":
-                first, kind = f"(double){a.within(UNARY)}", "double"
-            return Scalar(kind, f"{first} {sign} {b.within(binding + 1)}", binding)
-
-        return self._mapped(both, left, right)
+        kind, first, value = wider("int", left.kind, right.kind), left.within(binding), None
+        if sign == "/" and kind == "int":
+            first, kind = f"(double){left.within(c.UNARY)}", "double"
+        elif kind == "int" and left.value is not None and right.value is not None:
+            value = {"+": left.value + right.value, "-": left.value - right.value}.get(sign, left.value * right.value)
+            if left.text.isdigit() and right.text.isdigit():
+                return number(value)
+        return Scalar(kind, f"{first} {sign} {right.within(binding + 1)}", binding, value)
 
     def _power(self, base: Scalar, exponent: Scalar) -> Scalar:
         if exponent.kind == "int" and exponent.value is not None and exponent.value >= 0 and base.kind == "double":
             if exponent.value == 2 and re.fullmatch(r"[\w.]+(->\w+)?(\[\w+\])*", base.text):
-                return Scalar("double", f"{base.text} * {base.text}", PRODUCT)
+                return Scalar("double", f"{base.text} * {base.text}", c.PRODUCT)
             return Scalar("double", f"{self.program.helper('power')}({base.text}, {exponent.value})")
         return Scalar("double", f"pow({base.text}, {exponent.text})")
 
-    def _product(self, left: Value, right: Value) -> Value:
-        """A product of matrices, or of one with a vector, kept."""
-        if not isinstance(right, Array):
-            right = self.stored(right, "right")
-        if not isinstance(left, Array) or len(left.shape) != 2 or left.shape[1] != right.shape[0]:
-            raise Unknown("a product of this kind")
-        shape = (left.shape[0], *right.shape[1:])
-        result = self._local("double", self.fresh("product"), shape)
-        inner = self.fresh("n")
-        with self._loops(shape) as rows:
-            entry = result.at(rows).text
-            self.emit(f"{entry} = 0.0;")
-            self.emit(f"for (int {inner} = 0; {inner} < {left.shape[1]}; {inner}++) {{")
-            self.emit(f"    {entry} += {left.at([rows[0], inner]).text} * {right.at([inner, *rows[1:]]).text};")
-            self.emit("}")
-        self.temporaries.add(result.base)
-        return result
-
     def _boolop_value(self, node: ast.BoolOp) -> Value:
-        is_and = isinstance(node.op, ast.And)
-        sign, binding = ("&&", CONJUNCTION) if is_and else ("||", DISJUNCTION)
-        parts = [self.scalar(each) for each in node.values]
-        if any(each.value is not None and bool(each.value) != is_and for each in parts[:1]):
-            return number(not is_and)
-        left = [each for each in parts if each.value is None]
-        if not left or any(each.value is not None and bool(each.value) != is_and for each in parts):
-            return number(is_and if not left else not is_and)
-        if len(left) == 1:
-            return left[0]
-        texts = [each.within(EQUALITY if each.binding != binding else binding) for each in left]
+        sign, binding = ("&&", c.CONJUNCTION) if isinstance(node.op, ast.And) else ("||", c.DISJUNCTION)
+        parts = [self.scalar(part) for part in node.values]
+        texts = [part.within(c.EQUALITY if part.binding != binding else binding) for part in parts]
         return Scalar("bool", f" {sign} ".join(texts), binding)
 
     def _compare_value(self, node: ast.Compare) -> Value:
-        values = [self.value(each) for each in (node.left, *node.comparators)]
-        results = []
-        for operator, left, right in zip(node.ops, values, values[1:], strict=False):
-            if type(operator) not in _COMPARED:
-                raise Unknown("a comparison of this kind")
-            sign, binding = _COMPARED[type(operator)]
-
-            def compared(a: Scalar, b: Scalar, sign: str = sign, binding: int = binding) -> Scalar:
-                if a.kind == b.kind == "int" and a.value is not None and b.value is not None and sign in ("==", "!="):
-                    return number((a.value == b.value) == (sign == "=="))
-                return Scalar("bool", f"{a.within(SUM)} {sign} {b.within(SUM)}", binding)
-
-            results.append(self._mapped(compared, left, right))
-        if len(results) == 1:
-            return results[0]
-        return Scalar("bool", " && ".join(self._as_scalar(each).text for each in results), CONJUNCTION)
+        values = [self.scalar(part) for part in (node.left, *node.comparators)]
+        signs = [_COMPARED.get(type(op)) for op in node.ops]
+        if None in signs:
+            raise Untyped("a comparison of this kind")
+        if signs == ["=="] and all(x.kind == "int" and x.value is not None for x in values):
+            return number(values[0].value == values[1].value)
+        pairs = zip(signs, values, values[1:], strict=False)
+        texts = [f"{a.within(c.SUM)} {sign} {b.within(c.SUM)}" for sign, a, b in pairs]
+        binding = c.EQUALITY if signs[0] in ("==", "!=") else c.RELATION
+        return Scalar("bool", " && ".join(texts), binding if len(texts) == 1 else c.CONJUNCTION)
 
     def _ifexp_value(self, node: ast.IfExp) -> Value:
         test = self.scalar(node.test)
         if test.value is not None:
             return self.value(node.body if test.value else node.orelse)
-        return self._chosen(test, self.value(node.body), self.value(node.orelse))
+        yes, no = self.value(node.body), self.value(node.orelse)
+        if isinstance(yes, Array) and isinstance(no, Array) and yes.shape == no.shape:
+            text = f"({test.within(c.CHOICE + 1)} ? {yes.pointer} : {no.pointer})"
+            return Array(yes.kind, text, yes.shape, root=None if None in (yes.root, no.root) else yes.root or no.root)
+        yes, no = self.scalar(yes), self.scalar(no)
+        text = f"{test.within(c.CHOICE + 1)} ? {yes.within(c.CHOICE)} : {no.within(c.CHOICE)}"
+        return Scalar(wider(yes.kind, no.kind), text, c.CHOICE)
 
-    def _chosen(self, test: Scalar, yes: Value, no: Value) -> Value:
-        if isinstance(yes, Several) and isinstance(no, Several):
-            return Several(tuple(self._chosen(test, a, b) for a, b in zip(yes.items, no.items, strict=True)))
-        if isinstance(yes, Array) and isinstance(no, Array) and yes.layout == no.layout and yes.shape == no.shape:
-            sizes, pattern = yes.layout
-            lengths = iter(yes.shape)
-            view = tuple(Axis("0", next(lengths) if runs else None) for runs in pattern)
-            text = f"({test.within(CHOICE + 1)} ? {yes.pointer(False)} : {no.pointer(False)})"
-            return Array(yes.kind, text, sizes, view, yes.root if yes.root else no.root)
+    # --- calls ---
 
-        def choice(a: Scalar, b: Scalar) -> Scalar:
-            kind = wider(a.kind, b.kind)
-            text = f"{test.within(CHOICE + 1)} ? {a.within(CHOICE)} : {b.within(CHOICE)}"
-            return Scalar(kind, text, CHOICE)
+    def _call_value(self, node: ast.Call) -> Value:
+        if node.keywords:
+            raise Untyped("an argument by its name")
+        if isinstance(node.func, ast.Attribute) and not isinstance(owner := self.value(node.func.value), Constant):
+            if node.func.attr != "copy" or not isinstance(owner, (Array, Struct)):
+                raise Untyped(f"the method {node.func.attr}; write a loop")
+            return Local(owner.shape if isinstance(owner, Array) else owner.of, owner)
+        called = getattr(self.value(node.func), "value", None)
+        if called in (np.empty, np.zeros):
+            return self._new(node.args, called is np.zeros)
+        given = [self.value(argument) for argument in node.args]
+        if called is record:
+            return given[0]
+        if called is len and isinstance(given[0], Array):
+            return number(given[0].shape[0])
+        if called not in (min, max, *_MATH, *c.NUMBERS):
+            return self._law(called, given)
+        of_numbers = [self.scalar(value) for value in given]
+        first = of_numbers[0]
+        if called in c.NUMBERS:
+            kind = c.NUMBERS[called]
+            return first if first.kind == kind else Scalar(kind, f"({kind}){first.within(c.UNARY)}", c.UNARY)
+        if called in _MATH:
+            if _MATH[called] == "fabs" and first.kind == "int":
+                raise Untyped("the size of an integer; write `float(...)`")
+            kind = "bool" if called in (np.isfinite, np.isnan) else "double"
+            return Scalar(kind, f"{self.program.helper(_MATH[called])}({', '.join(x.text for x in of_numbers)})")
+        kind = wider("int", *(x.kind for x in of_numbers))
+        helper = self.program.helper(("lesser" if called is min else "greater") + ("_int" if kind == "int" else ""))
+        for x in of_numbers[1:]:
+            first = Scalar(kind, f"{helper}({first.text}, {x.text})")
+        return first
 
-        return self._mapped(choice, yes, no)
+    def _new(self, arguments: Sequence[ast.expr], zeros: bool) -> Local:
+        if len(arguments) > 1:
+            kind = getattr(self.value(arguments[1]), "value", None)
+            if not isinstance(kind, np.dtype):
+                raise Untyped("an array of such numbers; write float64 alone")
+            return Local(c.struct_type(kind))
+        sizes = arguments[0].elts if isinstance(arguments[0], ast.Tuple) else [arguments[0]]
+        shape = tuple(self.scalar(size).value for size in sizes)
+        if not all(isinstance(size, int) for size in shape):
+            raise Untyped("an array with a computed size; write a constant")
+        return Local(shape, zeros=zeros)
 
-    def _mapped(self, law: Callable[..., Scalar], *values: Value) -> Value:
-        """A law of numbers, entry by entry where one of its arguments is an array."""
-        arrays = [each for each in values if isinstance(each, (Array, Entrywise))]
-        if not arrays:
-            return law(*(self._as_scalar(each) for each in values))
-        shape = arrays[0].shape
-
-        def at(indices: Sequence[str]) -> Scalar:
-            return law(*(self._entry(each, indices, shape) for each in values))
-
-        return Entrywise(at(["0"] * len(shape)).kind, shape, at)
-
-
-def nothing(_: Sequence[str]) -> Scalar:
-    """An entry of an array that is not set yet."""
-    return number(0.0)
-
-
-def at_pointer(pointer: str) -> str:
-    """What a pointer points to."""
-    return pointer[1:] if pointer.startswith("&") else f"*{pointer}"
-
-
-def last_name(node: ast.expr) -> str | None:
-    """A name without what stands before its last dot."""
-    return node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else None
+    def _law(self, called: Any, values: Sequence[Value]) -> Value:
+        given = [self.made(x, self.fresh("local")) if isinstance(x, Local) else x for x in values]
+        (name, kinds, written), texts = self.program.function(called, given), list[str]()
+        for k, value in enumerate(given):
+            if k in written:
+                self.mark(value)
+            text = value.text if isinstance(value, Scalar) else value.pointer  # type: ignore[union-attr]
+            if isinstance(value, Array) and len(value.shape) > 1 and k not in written:
+                # C does not make a pointer to constant rows of a pointer to rows.
+                text = self.unless_written(value.root, "", f"(const {value.declared('')})") + text
+            texts.append(text)
+        text = f"{name}({', '.join(texts)})"
+        if len(kinds) > 1:
+            return TupleType(tuple(Scalar(kind, "") for kind in kinds), text)
+        return Scalar(kinds[0] if kinds else "void", text)

@@ -8,61 +8,37 @@ import shutil
 import subprocess
 import tempfile
 import zipfile
+from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from stewart_drake import __version__
-from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import ConfigurationError, Status
-from stewart_drake.base.jit import njit, record
 from stewart_drake.base.sampling import on_grid
-from stewart_drake.export.controller_c import REASONS, c_name, controller_files, from_template, readings_along
+from stewart_drake.export.controller_c import REASONS, c_name, controller_files, readings_along, write_files
 from stewart_drake.export.loop import LoopSource
-from stewart_drake.export.values import number
+from stewart_drake.export.program import from_template
+from stewart_drake.export.types import number
 from stewart_drake.loop.part import Part
-from stewart_drake.mechanics.kinematics_laws import OK, SERIAL, Legs
-from stewart_drake.mechanics.linear_algebra import all_finite
-from stewart_drake.plant.closed_form import ClosedForm, _rk4, _semi_implicit
+from stewart_drake.mechanics.kinematics_laws import SERIAL, Legs
+from stewart_drake.plant.closed_form import ClosedForm
 from stewart_drake.scenario.assembly import command_path, context_of, control_side
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
 
-
-class Variable(NamedTuple):
-    """An input or output of a unit: its name, and its numbers at the start."""
-
-    name: str
-    start: np.ndarray
-    is_input: bool
-
-
-@njit
-def plant_tick(robot: Any, friction: Any, params: Any, torque: Any, wrench: Any, legs: Any, state: Any) -> Any:
-    """A step of the closed form as the kernel of a part; status, leg, margin."""
-    leg, margin = _semi_implicit(robot, friction, params, legs, torque, wrench, state)
-    return OK if leg < 0 and all_finite(record(state).pose[:]) else SERIAL, leg, margin
-
-
-@njit
-def plant_tick_rk4(robot: Any, friction: Any, params: Any, torque: Any, wrench: Any, legs: Any, state: Any) -> Any:
-    """`plant_tick` by Runge-Kutta of order 4."""
-    leg, margin = _rk4(robot, friction, params, legs, torque, wrench, state)
-    return OK if leg < 0 and all_finite(record(state).pose[:]) else SERIAL, leg, margin
+Numbers = Mapping[str, np.ndarray]
 
 
 def plant_part(scenario: Scenario) -> Part:
     """The closed form of a scenario's robot as a part at the end of a tick, from the start of the scenario on."""
     plant = ClosedForm(scenario.robot, scenario.plant, scenario.gravity)  # type: ignore[arg-type]
     plant.initial(*scenario.start())
-    loaded, friction, params, _ = plant._fixed
-    numbers, inputs = {"robot": loaded, "friction": friction, "params": params}, {"motor_torque": 6, "wrench": 6}
-    kernel = plant_tick_rk4 if getattr(scenario.plant, "integrator", "") == "rk4" else plant_tick
-    statuses = {SERIAL: Status("crank_dead_centre", of_leg=True)}
-    part = Part("plant", kernel, {}, inputs, (), plant.save(), (Legs,), statuses, parameters=numbers)
+    numbers = dict(zip(("robot", "friction", "params"), plant._fixed, strict=True))
+    statuses, inputs = {SERIAL: Status("crank_dead_centre", of_leg=True)}, {"motor_torque": 6, "wrench": 6}
+    part = Part("plant", plant._kernel, {}, inputs, (), plant.save(), (Legs,), statuses, parameters=numbers)
     return part._replace(period=scenario.plant.time_step, end_of_tick=True)
 
 
@@ -80,31 +56,23 @@ def robot_files(scenario: Scenario, name: str) -> dict[str, str]:
 
 def controller_unit(options: ControlOptions, name: str) -> bytes:
     """The controller as an FMU: inputs `reading`, `reference`, `age`, output `command`; ConfigurationError as in C."""
-    own, side = c_name(name), control_side(options, split=True)
-    files = {file: text for file, text in controller_files(options, name).items() if file in (f"{own}.h", f"{own}.c")}
+    prefix, side = c_name(name), control_side(options, split=True)
+    files = {
+        file: text for file, text in controller_files(options, name).items() if file in (f"{prefix}.h", f"{prefix}.c")
+    }
     wanted = np.concatenate([source.evaluate(np.zeros(1))[0] for source in side.sources])
-    variables = [
-        Variable("reading", readings_along(options, side, 1)[0], True),
-        Variable("reference", wanted, True),
-        Variable("age", np.zeros(1), True),
-        Variable("command", np.zeros(6), False),
-    ]
-    step = f"return {own}_step(&u->inner, u->reading, u->reference, u->age[0], u->command) == 0 && ++u->steps > 0.0;"
-    return _unit(f"{own}_controller", own, "a controller", files, variables, options.reading_period, step)
+    inputs = {"reading": readings_along(options, side, 1)[0], "reference": wanted, "age": np.zeros(1)}
+    arguments = "u->reading, u->reference, u->age[0], u->command"
+    return _unit("controller", prefix, files, inputs, {"command": np.zeros(6)}, options.reading_period, arguments)
 
 
 def robot_unit(scenario: Scenario, name: str) -> bytes:
     """The robot with its motors as an FMU: inputs `command`, `wrench`, output `measured`."""
-    own = f"{c_name(name)}_robot"
-    pose, rate = scenario.start()
-    variables = [
-        Variable("command", scenario.motors.initial_command(context_of(scenario, split=True)), True),
-        Variable("wrench", np.zeros(6), True),
-        Variable("measured", ClosedForm(scenario.robot, scenario.plant, scenario.gravity).initial(pose, rate), False),  # type: ignore[arg-type]
-    ]
-    step = f"return {own}_step(&u->inner, u->command, u->wrench, u->measured) == 0 && ++u->steps > 0.0;"
-    files = robot_files(scenario, own)
-    return _unit(f"{own}_robot", own, "a robot", files, variables, scenario.plant.time_step, step)
+    prefix, plant = f"{c_name(name)}_robot", ClosedForm(scenario.robot, scenario.plant, scenario.gravity)  # type: ignore[arg-type]
+    command = scenario.motors.initial_command(context_of(scenario, split=True))
+    inputs, outputs = {"command": command, "wrench": np.zeros(6)}, {"measured": plant.initial(*scenario.start())}
+    arguments = "u->command, u->wrench, u->measured"
+    return _unit("robot", prefix, robot_files(scenario, prefix), inputs, outputs, scenario.plant.time_step, arguments)
 
 
 def write_units(options: ControlOptions, name: str, folder: Path) -> list[Path]:
@@ -112,27 +80,32 @@ def write_units(options: ControlOptions, name: str, folder: Path) -> list[Path]:
     units = {f"{c_name(name)}.fmu": controller_unit(options, name)}
     if isinstance(options, Scenario):
         units[f"{c_name(name)}_robot.fmu"] = robot_unit(options, name)
-    folder.mkdir(parents=True, exist_ok=True)
-    for file, content in units.items():
-        write_atomically(folder / file, content)
-    return [folder / file for file in units]
+    return write_files(folder, units)
 
 
 def _unit(
-    struct: str, own: str, what: str, files: dict[str, str], variables: list[Variable], period: float, step: str
+    kind: str, prefix: str, files: dict[str, str], inputs: Numbers, outputs: Numbers, period: float, arguments: str
 ) -> bytes:
-    """The archive of a unit, with a library for this machine where there is a C compiler."""
-    words = {"WHAT": what, "HEADER": f"{own}.h", "STRUCT": struct, "PERIOD": number(on_grid(period)).text, "STEP": step}
-    words["FIELDS"] = "\n".join(f"    double {each.name}[{each.start.size}];" for each in variables)
-    words |= {"INIT": f"{own}_init(&u->inner);", "WHY": f"{own}_why"}
-    rows = [
-        f"    {{offsetof(unit, {each.name}), {each.start.size}, {'true' if each.is_input else 'false'}}},"
-        for each in variables
-    ]
-    starts = [f"    u->{each.name}[{k}] = {number(x).text};" for each in variables for k, x in enumerate(each.start)]
-    words |= {"TABLE": "\n".join(rows), "START": "\n".join(starts)}
+    """The archive of a unit, with a library for this machine where there is a C compiler.
+
+    Inputs and outputs are by name, with their numbers at the start; `arguments` are those of its function `step`.
+    """
+    variables = {**inputs, **outputs}
+    words = {
+        "WHAT": f"a {kind}",
+        "HEADER": f"{prefix}.h",
+        "STRUCT": f"{prefix}_{kind}",
+        "PERIOD": number(on_grid(period)).text,
+    }
+    words["STEP"] = f"return {prefix}_step(&u->inner, {arguments}) == 0 && ++u->steps > 0.0;"
+    words["FIELDS"] = "\n".join(f"    double {name}[{start.size}];" for name, start in variables.items())
+    words |= {"INIT": f"{prefix}_init(&u->inner);", "WHY": f"{prefix}_why"}
+    rows = ((name, start.size, "true" if name in inputs else "false") for name, start in variables.items())
+    words["TABLE"] = "\n".join(f"    {{offsetof(unit, {name}), {size}, {flag}}}," for name, size, flag in rows)
+    starts = ((name, k, number(x).text) for name, start in variables.items() for k, x in enumerate(start))
+    words["START"] = "\n".join(f"    u->{name}[{k}] = {text};" for name, k, text in starts)
     sources = {**files, "fmu.c": from_template("fmu.c", words)}
-    words |= _described(own, sources, variables)
+    words |= _described(prefix, sources, inputs, outputs)
     content = {"modelDescription.xml": from_template("modelDescription.xml", words)}
     content |= {f"sources/{file}": text for file, text in sources.items()}
     content["sources/buildDescription.xml"] = from_template("buildDescription.xml", words)
@@ -140,44 +113,41 @@ def _unit(
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as unit:
         for file, text in content.items():
             unit.writestr(zipfile.ZipInfo(file), text)
-        if (library := _library(own, sources)) is not None:
+        if (library := _library(prefix, sources)) is not None:
             unit.writestr(zipfile.ZipInfo(library[0]), library[1])
     return archive.getvalue()
 
 
-def _library(own: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
+def _library(prefix: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
     """Its place in the archive and the library; None without a compiler, for who runs it to compile the sources."""
     compiler, system = shutil.which("cc") or shutil.which("gcc"), platform.system().lower()
     if compiler is None or system not in ("linux", "darwin"):
         return None
     machine, ending = platform.machine().replace("arm64", "aarch64"), "so" if system == "linux" else "dylib"
     with tempfile.TemporaryDirectory() as place:
-        folder, library = Path(place), Path(place) / f"{own}.{ending}"
+        folder, library = Path(place), Path(place) / f"{prefix}.{ending}"
         for file, text in sources.items():
             (folder / file).write_text(text, encoding="utf-8")
         flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fvisibility=hidden", "-shared", "-fPIC"]
         names = [file for file in sources if file.endswith(".c")]
-        done = subprocess.run(
-            [compiler, *flags, "-o", library, *names, "-lm"], cwd=folder, capture_output=True, text=True
-        )
+        command = [compiler, *flags, "-o", str(library), *names, "-lm"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
         if done.returncode != 0:
             raise ConfigurationError("C compiler", compiler, f"one that compiles C99; {done.stderr[:500]}")
         return f"binaries/{machine}-{system}/{library.name}", library.read_bytes()
 
 
-def _described(own: str, sources: dict[str, str], variables: list[Variable]) -> dict[str, str]:
-    """What its two descriptions say of a unit."""
+def _described(prefix: str, sources: dict[str, str], inputs: Numbers, outputs: Numbers) -> dict[str, str]:
+    """Words of the two descriptions of a unit."""
     rows = ['<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>']
-    for k, each in enumerate(variables, start=1):
-        start = f" start={quoteattr(' '.join(repr(float(x)) for x in each.start))}" if each.is_input else ""
-        kind = "input" if each.is_input else "output"
-        rows.append(
-            f'<Float64 name="{each.name}" valueReference="{k}" causality="{kind}" variability="discrete"{start}>'
-            f'<Dimension start="{each.start.size}"/></Float64>'
-        )
-    outputs = [k for k, each in enumerate(variables, start=1) if not each.is_input]
-    structure = "".join(f'<{tag} valueReference="{k}"/>' for tag in ("Output", "InitialUnknown") for k in outputs)
+    for k, (name, values) in enumerate({**inputs, **outputs}.items(), start=1):
+        start = f" start={quoteattr(' '.join(repr(float(x)) for x in values))}" if name in inputs else ""
+        kind = f'causality="{"input" if name in inputs else "output"}" variability="discrete"{start}'
+        size = f'<Dimension start="{values.size}"/>'
+        rows.append(f'<Float64 name="{name}" valueReference="{k}" {kind}>{size}</Float64>')
+    places = range(len(inputs) + 1, len(inputs) + len(outputs) + 1)
+    structure = "".join(f'<{tag} valueReference="{k}"/>' for tag in ("Output", "InitialUnknown") for k in places)
     compiled = "".join(f'<SourceFile name="{file}"/>' for file in sources if file.endswith(".c"))
     token = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:32]
-    words = {"NAME": own, "TOKEN": token, "VERSION": __version__, "COMPILED": compiled}
+    words = {"NAME": prefix, "TOKEN": token, "VERSION": __version__, "COMPILED": compiled}
     return words | {"VARIABLES": "\n".join(rows), "STRUCTURE": structure}

@@ -3,255 +3,157 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.errors import failure_code
+from stewart_drake.base.errors import ConfigurationError, failure_code
 from stewart_drake.base.sampling import steps_per
-from stewart_drake.export.printer import Program, braced, filled
-from stewart_drake.export.source import refusal, source_of
-from stewart_drake.export.values import Array, Axis, Record, Scalar, Unknown, number
+from stewart_drake.export.program import Program, braced, filled, from_template
+from stewart_drake.export.source import ALLOWED, source_of
+from stewart_drake.export.statements import wrapped
+from stewart_drake.export.types import Array, Scalar, Struct, StructType, Untyped, number, struct_type
 from stewart_drake.loop.part import HEALTHY, Part
 
 _STATUSES = 32  # A kernel's statuses are below it.
 
 
-class Signal(NamedTuple):
-    """Where a signal stands in the record of a loop: its array, from where on, and how many numbers it has."""
-
-    base: str
-    start: int
-    size: int
-
-    @property
-    def array(self) -> Array:
-        """As an argument of a kernel."""
-        return Array("double", self.base, (), (Axis(str(self.start), self.size),))
-
-    @property
-    def text(self) -> str:
-        """A pointer to it."""
-        return self.array.pointer(False)
-
-
 class LoopSource:
     """The parts of a loop in C; arguments are those of `LoopRunner`.
 
-    `given` are arrays that stand at ports, by the names of members of the record that take their places; `variable`
-    names parameters that are to be members too, as `part.parameter`.
+    `given` are arrays at ports, by the names of members of the record that take their places; `variable` names
+    parameters that are to be members too, as `part.parameter`.
 
     Attributes:
         program: The laws that have been printed.
         signals: All signals by name.
-        places: Members of the record by name: the double with which each begins, and how many it has.
+        places: Members of the record by name: the double with which it begins, and how many it has.
+        numbers: Doubles in the record.
     """
 
     def __init__(
         self,
         parts: Sequence[Part],
         outside: Mapping[str, int],
-        inside: Mapping[str, Signal],
+        inside: Mapping[str, Array],
         period: float,
         step: float,
         given: Mapping[str, np.ndarray],
         variable: Collection[str] = (),
     ) -> None:
         self.program, self.parts, self._given, self._variable = Program(), tuple(parts), given, variable
-        self._members, self.places = ["double steps;", "double failure[2];"], {"steps": (0, 1), "failure": (1, 2)}
-        self._initial: list[str] = []
-        for name, size in {**outside, **{name: array.size for name, array in given.items()}}.items():
-            self._member(name, f"double {name}[{size}]", size)
-        self.signals = {name: Signal(f"loop->{name}", 0, size) for name, size in outside.items()}
-        self.signals |= inside
-        self._runs: list[str] = []
+        self.numbers, self.places, self._members = 0, dict[str, tuple[int, int]](), list[str]()
+        self._initial, self._runs = list[str](), list[str]()
         self._calls: dict[bool, list[str]] = {False: [], True: []}
+        self.signals = {name: Array("double", f"loop->{name}", (size,)) for name, size in outside.items()}
+        self.signals |= inside
+        self._member("steps", "double steps", np.zeros(1))
+        for name, size in {"failure": 2, **outside, **{name: x.size for name, x in given.items()}}.items():
+            self._member(name, f"double {name}[{size}]", np.zeros(size))
         for part in parts:
-            self._state(part)
             for name in part.outputs:
                 kind, place = part.initial.dtype[name], f"loop->{part.name}.{name}"
-                base = place if kind.shape else f"((double *)&{place})" if kind.names else f"(&{place})"
-                self.signals[part.signal(name)] = Signal(base, 0, part.size(name))
+                base = f"((double *)&{place})" if kind.names else place if kind.shape else f"(&{place})"
+                self.signals[part.signal(name)] = Array("double", base, (part.size(name),))
         for k, part in enumerate(parts):
-            self._add(k, part)
+            self.add(k, part)
             steps = steps_per(f"{part.name}.period", part.period or period, step)
-            call = f"    status = run_{part.name}(loop);\n    if (status != 0) {{\n        return status;\n    }}\n"
-            if steps > 1:
-                inner = "".join(f"    {line}\n" for line in call.splitlines())
-                call = f"    if (fmod(loop->steps, {float(steps)}) == 0.0) {{\n{inner}    }}\n"
+            due = "" if steps == 1 else f"fmod(loop->steps, {float(steps)}) == 0.0 && "
+            call = f"    if ({due}(status = run_{part.name}(loop)) != 0) {{\n        return status;\n    }}"
             self._calls[part.end_of_tick].append(call)
 
-    def _member(self, name: str, declaration: str, size: int | np.ndarray, initial: str = "") -> None:
-        """A member of the record: so many doubles, or those of an array, with which it begins."""
-        numbers = np.zeros(size) if isinstance(size, int) else _numbers(size)
-        self._members.append(f"{declaration};")
-        self.places[name] = self.numbers, numbers.size
-        if np.any(numbers):
-            self._initial.append(f"    .{name} = {_nested(initial)},")
+    def _member(self, name: str, declaration: str, initial: np.ndarray) -> None:
+        """A member of the record, with the numbers with which it begins."""
+        self.places[name] = self.numbers, initial.view(np.float64).size
+        self.numbers += self.places[name][1]
+        self._members.append(f"    {declaration};")
+        if np.any(initial.view(np.float64)):
+            text = filled(initial) if initial.dtype.names else braced(initial)
+            self._initial.append(f"    .{name} = {text},".replace("\n", "\n    "))
 
-    def _state(self, part: Part) -> None:
-        kind = self.program.record(part.initial.dtype, f"{part.name}_state", part.kernel)
-        self._member(part.name, f"struct {kind} {part.name}", part.initial, filled(part.initial))
+    def _record(self, name: str, of: StructType, initial: np.ndarray) -> Struct:
+        """A member that is a record, as an argument."""
+        self._member(name, f"struct {self.program.struct(of)} {name}", initial)
+        return Struct(of, f"&loop->{name}")
 
-    def add_apart(self, part: Part) -> None:
-        """A part that is called by its own name alone, `run_` before it."""
-        self._state(part)
-        self._add(len(self.parts), part)
-
-    def place(self, signal: str) -> tuple[int, int]:
-        """The double of the record with which a signal begins, and how many it has."""
-        for part in self.parts:
-            for name in part.outputs:
-                if part.signal(name) == signal:
-                    return self.places[part.name][0] + part.initial.dtype.fields[name][1] // 8, part.size(name)  # type: ignore[index]
-        return self.places[signal]
-
-    # --- one part ---
-
-    def _add(self, k: int, part: Part) -> None:
-        arguments: list[Any] = []
-        for name, value in part.leading.items():
-            arguments.append(self._leading(part, name, value))
-        for name, size in part.inputs.items():
-            arguments.append(self._input(part, name, size))
-        for n, record in enumerate(part.scratch):
-            scratch: Any = getattr(record, "layout", record)
-            member = f"{part.name}_scratch_{n}" if n else f"{part.name}_scratch"
-            kind = self.program.record(scratch, member, part.kernel)
-            self._member(member, f"struct {kind} {member}", scratch.itemsize // 8)
-            arguments.append(Record(scratch, f"&loop->{member}"))
-        arguments.append(Record(part.initial.dtype, f"&loop->{part.name}"))
+    def add(self, k: int, part: Part) -> None:
+        """The k-th part, as a function that is called `run_` and its name."""
         try:
-            signature = self.program.function(part.kernel, arguments)
-        except Unknown as error:
             source = source_of(part.kernel)
-            raise refusal(f"{source.file}:{source.tree.lineno}", source.tree.name, str(error)) from None
-        texts = [
-            each.text if isinstance(each, Scalar) else each.pointer if isinstance(each, Record)
-            else each.pointer(n not in signature.written)
-            for n, each in enumerate(arguments)
-        ]  # fmt: skip
-        call, lines = f"{signature.name}({', '.join(texts)})", []
-        if signature.result is None:
-            lines += [f"    {call};", "    return 0;"]
-        else:
-            kinds = signature.result
-            kind = self.program.record(part.initial.dtype, "", part.kernel)
-            lines += [f"    const struct {kind} before = loop->{part.name};"] if part.fault_tolerant else []
-            lines += [f"    const {self.program.result(kinds)} result = {call};"]
-            leg = "result.second" if kinds[1:2] == ("int",) else "-1"
-            causes, of_leg = self._causes(part)
-            if part.fault_tolerant:
-                lines += [
-                    f"    double *health = loop->{part.name}.health;",
-                    "    if (result.first == 0) {",
-                    f"        health[0] = {HEALTHY[0]};",
-                    f"        health[1] = {HEALTHY[1]};",
-                    "        return 0;",
-                    "    }",
-                    "    /* The state is as it was; the safety layer hears of it. */",
-                    f"    loop->{part.name} = before;",
-                    f"    health[0] = {causes.at(['result.first']).text};",
-                    f"    health[1] = {of_leg.at(['result.first']).text} ? {leg} : -1;",
-                    "    return 0;",
-                ]
-            else:
-                lines += [
-                    "    if (result.first == 0) {",
-                    "        return 0;",
-                    "    }",
-                    f"    loop->failure[0] = {causes.at(['result.first']).text};",
-                    f"    loop->failure[1] = {of_leg.at(['result.first']).text} ? {leg} : -1;",
-                    f"    return {k + 1};",
-                ]
+        except Untyped as error:
+            raise ConfigurationError(part.name, str(part.kernel), f"{ALLOWED}; this is {error}") from None
+        try:
+            lines = self._lines(k, part, [source.types.get(argument.arg) for argument in source.tree.args.args])
+        except Untyped as error:
+            raise source.refusal(source.tree.lineno, source.tree.name, str(error)) from None
         self._runs.append(f"static int run_{part.name}(struct loop *loop)\n{{\n" + "\n".join(lines) + "\n}")
 
-    def _leading(self, part: Part, name: str, value: Any) -> Any:
-        if name in part.connections:
-            signal = self.signals[str(part.connections[name])]
-            kind = self.program.record(value.dtype, f"{part.name}_{name}", part.kernel)
-            return Record(value.dtype, f"((const struct {kind} *){signal.text})", None)
-        if f"{part.name}.{name}" in self._variable:
-            member = f"{part.name}_{name}"
-            if not value.dtype.names:
-                self._member(member, f"double {member}[{value.size}]", value, braced(value))
-                return Signal(f"loop->{member}", 0, value.size).array
-            kind = self.program.record(value.dtype, member, part.kernel)
-            self._member(member, f"struct {kind} {member}", value, filled(value))
-            return Record(value.dtype, f"&loop->{member}")
-        if isinstance(value, np.ndarray) and value.dtype.names:
-            return self.program.constants_of(f"{part.name}_{name}", value, part.kernel)
-        if isinstance(value, np.ndarray):
-            return self.program.table(f"{part.name}_{name}", value)
-        if isinstance(value, (bool, int, float)):
-            return number(value)
-        return value  # The printer refuses it, with its kernel's line.
-
-    def _input(self, part: Part, name: str, size: int) -> Array:
-        source = "time" if name == "time" else part.source(name)
-        if isinstance(source, str):
-            return self.signals[source].array
-        for member, array in self._given.items():
-            if array is source:
-                return Signal(f"loop->{member}", 0, size).array
-        return self.program.table(f"no_{name}" if not np.any(source) else f"{part.name}_{name}", source)
-
-    def _causes(self, part: Part) -> tuple[Array, Array]:
-        """What of `errors.FAILURES` a status means, and whether it is that of a leg."""
+    def _lines(self, k: int, part: Part, types: Sequence[Any]) -> list[str]:
+        """The call of a part's kernel, with arguments of these types, and what follows from its status."""
+        arguments = [self._leading(part, *leading) for leading in zip(part.leading.items(), types, strict=False)]
+        of = struct_type(part.initial.dtype, types[-1])
+        arguments += [self._input(part, name) for name in part.inputs]
+        for n, kind in enumerate(part.scratch):
+            name = f"{part.name}_scratch_{n}" if n else f"{part.name}_scratch"
+            arguments.append(self._record(name, StructType(kind, kind.layout), kind.new()))
+        arguments.append(self._record(part.name, of, part.initial))
+        name, kinds, _ = self.program.function(part.kernel, arguments)
+        call = f"{name}({', '.join(x.text if isinstance(x, Scalar) else x.pointer for x in arguments)})"
+        if not kinds:
+            return [wrapped(f"    {call};"), "    return 0;"]
+        lines, target, undo, healthy = [], "loop->failure", [], []
+        if part.fault_tolerant:
+            target = f"loop->{part.name}.health"
+            lines = [f"    const struct {self.program.struct(of)} before = loop->{part.name};"]
+            healthy = [f"        {target}[{n}] = {value};" for n, value in enumerate(HEALTHY)]
+            undo = ["    /* The safety layer gets the cause. */", f"    loop->{part.name} = before;"]
+        lines.append(wrapped(f"    const {self.program.result(kinds)} result = {call};"))
+        lines += ["    if (result.first == 0) {", *healthy, "        return 0;", "    }", *undo]
         causes, of_leg = np.ones(_STATUSES, dtype=int), np.zeros(_STATUSES, dtype=int)
         for status, ending in part.statuses.items():
             causes[status], of_leg[status] = failure_code(ending.reason), ending.of_leg
-        return self.program.table(f"{part.name}_causes", causes), self.program.table(f"{part.name}_of_leg", of_leg)
+        lines.append(f"    {target}[0] = {self.program.table(f'{part.name}_causes', causes).base}[result.first];")
+        leg = "-1"
+        if kinds[1] == "int":
+            leg = f"{self.program.table(f'{part.name}_of_leg', of_leg).base}[result.first] ? result.second : -1"
+        return [*lines, f"    {target}[1] = {leg};", f"    return {0 if part.fault_tolerant else k + 1};"]
 
-    # --- text ---
+    def _leading(self, part: Part, item: tuple[str, Any], annotation: Any) -> Any:
+        """A parameter or a constant as an argument."""
+        (name, value), member = item, f"{part.name}_{item[0]}"
+        if isinstance(value, (bool, int, float)):
+            return number(value)
+        if not isinstance(value, np.ndarray):
+            raise Untyped(f"the constant `{name}`, an object that only Python has")
+        is_variable = f"{part.name}.{name}" in self._variable
+        if value.dtype.names:
+            of = struct_type(value.dtype, annotation)
+            if name in part.connections:
+                pointer = self.signals[str(part.connections[name])].pointer
+                return Struct(of, f"((const struct {self.program.struct(of)} *){pointer})", None)
+            return self._record(member, of, value) if is_variable else self.program.constant_record(member, value, of)
+        if name in part.connections:
+            return self._input(part, name)
+        if is_variable:
+            self._member(member, f"double {member}[{value.size}]", value)
+            return Array("double", f"loop->{member}", (value.size,))
+        return self.program.table(member, value)
+
+    def _input(self, part: Part, name: str) -> Array:
+        source = "time" if name == "time" else part.source(name)
+        if isinstance(source, str):
+            return self.signals[source]
+        for member, array in self._given.items():
+            if array is source:
+                return Array("double", f"loop->{member}", (array.size,))
+        return self.program.table(f"no_{name}" if not np.any(source) else f"{part.name}_{name}", source)
 
     def text(self) -> str:
         """All but the functions that are called from outside."""
-        members = "".join(f"    {member}\n" for member in self._members)
-        return "\n".join(
-            [
-                self.program.text("\n".join(self._runs)),
-                "/* All signals and states. */",
-                f"struct loop {{\n{members}}};\n",
-                "static const struct loop initial = {\n" + "\n".join(self._initial or ["    .steps = 0.0,"]) + "\n};\n",
-                "\n\n".join(self._runs) + "\n",
-                self._chain("run_parts", "The parts that are due, but those of the end of a tick.", False),
-                self._chain("end_parts", "What acts from the next tick on.", True),
-                self._signal_table(),
-            ]
-        )
-
-    def _chain(self, name: str, said: str, end: bool) -> str:
-        calls = self._calls[end]
-        body = "    int status;\n" + "".join(calls) if calls else "    (void)loop;\n"
-        said = f"/* {said} Returns 0, or which part failed, counted from 1. */"
-        return f"{said}\nstatic int {name}(struct loop *loop)\n{{\n{body}    return 0;\n}}\n"
-
-    def _signal_table(self) -> str:
-        names = sorted(self.signals)
-        rows = "".join(f'    {{"{name}", {self.signals[name].size}}},\n' for name in names)
-        cases = "".join(f"    case {k}: return {self.signals[name].text};\n" for k, name in enumerate(names))
-        return (
-            f"static const struct {{\n    const char *name;\n    int size;\n}} signals[] = {{\n{rows}}};\n\n"
-            "static const double *signal_at(const struct loop *loop, int k)\n{\n    switch (k) {\n"
-            f"{cases}    default: return 0;\n    }}\n}}\n"
-        )
-
-    @property
-    def numbers(self) -> int:
-        """Doubles in the record."""
-        start, size = list(self.places.values())[-1]
-        return start + size
-
-
-def _numbers(record: np.ndarray) -> np.ndarray:
-    return record.view(np.float64)
-
-
-def _nested(text: str) -> str:
-    return text.replace("\n", "\n    ")
-
-
-def table_of(rows: np.ndarray) -> str:
-    """Rows of numbers (n, k) as C initialises an array with them."""
-    return ",\n".join("    {" + ", ".join(number(value).text for value in row) + "}" for row in rows)
+        signals = sorted(self.signals.items())
+        words = {"LAWS": self.program.text(), "MEMBERS": "\n".join(self._members), "RUNS": "\n\n".join(self._runs)}
+        words |= {"INITIAL": "\n".join(self._initial or ["    .steps = 0.0,"])}
+        words |= {name: "\n".join(self._calls[end]) for name, end in (("PARTS", False), ("ENDS", True))}
+        words["SIGNALS"] = "\n".join(f'    {{"{name}", {signal.shape[0]}}},' for name, signal in signals)
+        words["POINTERS"] = "\n".join(f"    case {k}: return {x.pointer};" for k, (_, x) in enumerate(signals))
+        return from_template("loop.c", words).replace("\n\n    return status", "\n    return status")

@@ -1,75 +1,96 @@
-"""Where laws stand: their syntax, their comments, and what of their variables C has to know before."""
+"""Sources of laws: their syntax, their comments, and where C can declare their variables."""
 
 from __future__ import annotations
 
 import ast
 import inspect
 import io
+import textwrap
 import tokenize
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.export.values import Unknown
+from stewart_drake.base.records import Record
+from stewart_drake.export.types import Untyped
 
-_PACKAGE = Path(__file__).parents[1]
+ALLOWED = "what can be printed as C, see docs/export.md"
+_ROOT = Path(__file__).parents[2]
+
+
+RESERVED = frozenset(
+    "auto break case char const continue default do double else enum extern float for goto if inline int long register"  # noqa: SIM905
+    " restrict return short signed sizeof static struct switch typedef union unsigned void volatile while bool true"
+    " false main loop y0 y1 yn j0 j1 jn gamma exp log pow sqrt fabs abs min max".split()
+)
 
 
 class Source(NamedTuple):
-    """Where a function stands, its syntax, and its comments by their lines."""
+    """A function."""
 
     file: str
     tree: ast.FunctionDef
-    comments: dict[int, str]
+    comments: dict[int, str]  # By line; those on separate lines.
+    types: dict[str, Any]  # Of arguments and result.
+    scope: dict[str, int]  # Variables that C can declare where they are set first, and the lines of that.
+    leaking: set[str]  # Variables of loops that are used outside of them.
+    avoided: frozenset[str]  # Names that no variable can have.
+
+    def c_name(self, name: str) -> str:
+        """A variable's name in C."""
+        name = name.strip("_") or "unused"
+        return f"{name}_" if name in self.avoided else name
+
+    def refusal(self, line: int, given: str, reason: str) -> ConfigurationError:
+        """The error of a line that cannot be printed."""
+        return ConfigurationError(f"{self.file}:{line}", given, f"{ALLOWED}; this is {reason}")
 
 
-@lru_cache(maxsize=256)
-def _parsed(path: str) -> tuple[ast.Module, dict[int, str]]:
-    text = Path(path).read_text(encoding="utf-8")
-    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
-    comments = {
-        token.start[0]: token.string.lstrip("# ")
-        for token in tokens
-        if token.type == tokenize.COMMENT and token.line.lstrip().startswith("#")
-    }
-    return ast.parse(text), comments
+@lru_cache(maxsize=1024)
+def _parsed(thing: Any) -> tuple[ast.stmt, dict[int, str], dict[int, str]]:
+    """Syntax of a function or class, and its comments by line: on separate lines, and beside code."""
+    source, start = inspect.getsourcelines(thing)
+    text = textwrap.dedent("".join(source))
+    alone: dict[int, str] = {}
+    beside: dict[int, str] = {}
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.COMMENT:
+            comments = alone if token.line.lstrip().startswith("#") else beside
+            comments[token.start[0] + start - 1] = token.string.lstrip("# ")
+    return ast.increment_lineno(ast.parse(text), start - 1).body[0], alone, beside
 
 
+@lru_cache(maxsize=1024)
 def source_of(function: Any) -> Source:
     """The source of a law, compiled or not."""
     function = getattr(function, "py_func", function)
-    if not inspect.isfunction(function):
-        raise Unknown(f"{getattr(function, '__name__', function)}, which is no function of the package's laws")
-    path, line = function.__code__.co_filename, function.__code__.co_firstlineno
-    tree, comments = _parsed(path)
-    for node in ast.walk(tree):
-        first = node.decorator_list[:1] if isinstance(node, ast.FunctionDef) else []
-        if isinstance(node, ast.FunctionDef) and line in (node.lineno, *(each.lineno for each in first)):
-            return Source(_short(path), node, comments)
-    raise Unknown(f"{function.__name__}, whose source is not there")
+    try:
+        (tree, comments, _), types = _parsed(function), get_type_hints(function, include_extras=True)
+    except (OSError, TypeError, SyntaxError, NameError):
+        tree = ast.Pass()
+    if not isinstance(tree, ast.FunctionDef):
+        raise Untyped(f"{getattr(function, '__name__', function)}, which is no function with source and types")
+    path = Path(inspect.getfile(function))
+    file = str(path.relative_to(_ROOT) if path.is_relative_to(_ROOT) else path)
+    called = {last_name(node.func).strip("_") for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    return Source(file, tree, comments, types, *scope_of(tree), RESERVED | called)
 
 
-def refusal(place: str, given: str, reason: str) -> ConfigurationError:
-    """What is not known here, with file and line."""
-    return ConfigurationError(place, given, f"what can be printed as C, see docs/export.md; this is {reason}")
+def last_name(node: ast.expr) -> str:
+    """A name without what is before its last dot."""
+    return node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else ""
 
 
-def _short(path: str) -> str:
-    place = Path(path)
-    return str(place.relative_to(_PACKAGE.parent)) if place.is_relative_to(_PACKAGE.parent) else path
-
-
-def note(module: Any, name: str) -> str:
-    """The docstring below a constant of a module."""
-    body = _parsed(module.__file__)[0].body
-    for node, following in pairwise(body):
-        is_it = isinstance(node, ast.Assign) and any(isinstance(t, ast.Name) and t.id == name for t in node.targets)
-        if is_it and isinstance(following, ast.Expr) and isinstance(following.value, ast.Constant):
-            return str(following.value.value)
-    return ""
+def field_comments(kind: type[Record]) -> dict[str, str]:
+    """The comments beside the fields of a record."""
+    comments: dict[str, str] = {}
+    for base in reversed(kind.__mro__[:-1]):
+        tree, _, beside = _parsed(base)
+        fields = [field for field in ast.walk(tree) if isinstance(field, ast.AnnAssign)]
+        comments |= {ast.unparse(field.target): beside.get(field.lineno, "") for field in fields}
+    return comments
 
 
 def comment(text: str, indent: str = "") -> str:
@@ -80,57 +101,29 @@ def comment(text: str, indent: str = "") -> str:
     return f"{indent}/* " + f"\n{indent}   ".join(lines).replace("   \n", "\n") + " */\n"
 
 
-def loop_variables(tree: ast.FunctionDef) -> set[str]:
-    """Variables of loops that mean something in loops over them alone, as in C."""
-    elsewhere: set[str] = set()
+def scope_of(tree: ast.FunctionDef) -> tuple[dict[str, int], set[str]]:
+    """Where C can declare variables, and variables of loops that are used outside of them.
 
-    def visit(node: ast.AST, inside: frozenset[str]) -> None:
-        if isinstance(node, ast.For) and isinstance(node.target, ast.Name):
-            visit(node.iter, inside)
-            for statement in node.body:
-                visit(statement, inside | {node.target.id})
-            return
-        if isinstance(node, ast.Name) and (node.id not in inside or isinstance(node.ctx, ast.Store)):
-            elsewhere.add(node.id)
-        for child in ast.iter_child_nodes(node):
-            visit(child, inside)
-
-    visit(tree, frozenset())
-    loops = {n.target.id for n in ast.walk(tree) if isinstance(n, ast.For) and isinstance(n.target, ast.Name)}
-    return loops - elsewhere
-
-
-def homes_of(tree: ast.FunctionDef) -> dict[str, int]:
-    """Variables that can be declared where they are set first: their names, and the lines of that."""
+    A variable can be declared on the line that sets it first where all else that concerns it is in the same block.
+    """
     places: dict[str, list[tuple[tuple[int, ...], int | None]]] = {}
+    loops: set[str] = set()
 
-    def note(node: ast.AST, path: tuple[int, ...], line: int | None) -> None:
-        for each in ast.walk(node):
-            if isinstance(each, ast.Name):
-                places.setdefault(each.id, []).append((path, line if isinstance(each.ctx, ast.Store) else None))
+    def visit(body: Sequence[ast.stmt], path: tuple[int, ...], inside: frozenset[str]) -> None:
+        for k, node in enumerate(body):
+            for name in ast.walk(getattr(node, "iter", getattr(node, "test", node))):
+                if isinstance(name, ast.Name) and (name.id not in inside or isinstance(name.ctx, ast.Store)):
+                    line = node.lineno if isinstance(name.ctx, ast.Store) else None
+                    places.setdefault(name.id, []).append((path, line))
+            if isinstance(node, (ast.For, ast.If)):
+                variable = {ast.unparse(node.target)} if isinstance(node, ast.For) else set()
+                loops.update(variable)
+                visit(node.body, (*path, 2 * k), inside | variable)
+                visit(node.orelse, (*path, 2 * k + 1), inside)
 
-    def visit(body: Sequence[ast.stmt], path: tuple[int, ...]) -> None:
-        for k, statement in enumerate(body):
-            if isinstance(statement, (ast.For, ast.While, ast.If)):
-                if isinstance(statement, ast.For):
-                    note(statement.iter, path, None)
-                else:
-                    note(statement.test, path, None)
-                visit(statement.body, (*path, 2 * k))
-                visit(statement.orelse, (*path, 2 * k + 1))
-            elif isinstance(statement, ast.Assign):
-                note(statement.value, path, None)
-                for target in statement.targets:
-                    names = target.elts if isinstance(target, ast.Tuple) else [target]
-                    for each in names:
-                        note(each, path, statement.lineno if isinstance(each, ast.Name) else None)
-            else:
-                note(statement, path, None)
-
-    visit(tree.body, ())
-    homes = {}
-    for name, found in places.items():
-        path, line = found[0]
-        if line is not None and all(each[: len(path)] == path for each, _ in found):
-            homes[name] = line
-    return homes
+    visit(tree.body, (), frozenset())
+    lines = {}
+    for name, ((block, line), *others) in places.items():
+        if line is not None and all(path[: len(block)] == block for path, _ in others):
+            lines[name] = line
+    return lines, (loops & places.keys()) - {"_"}

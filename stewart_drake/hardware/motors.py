@@ -15,10 +15,11 @@ from stewart_drake.base.config import InOtherKinds, LegNumber, Natural, NotNegat
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.families import UserMade
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Record, Vec6, record
+from stewart_drake.base.records import Matrix, Record, Vec6, Vector, record
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.hardware.faults import CommandFault, MotorFault, Signal, tick_numbers
 from stewart_drake.loop.part import LoopContext, Part
+from stewart_drake.mechanics.linear_algebra import copy_to
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import SMALLEST_SIZE
 
@@ -137,11 +138,17 @@ def delay_part(ticks: int, initial: np.ndarray, name: str = "command_delay") -> 
     return Part(name, _delay, {}, {"value": size}, ("value",), first)
 
 
-def _delay(value: np.ndarray, state: DelayState) -> None:
-    pending = state["pending"][0]
-    state["value"][0] = pending[0]
-    pending[:-1] = pending[1:]
-    pending[-1] = value
+def _delay(value: Vector, state: DelayState) -> None:
+    _shift(state["pending"][0], value, state["value"][0])
+
+
+@njit
+def _shift(pending: Matrix, value: Vector, out: Vector) -> None:
+    """Takes the oldest row, and appends a new one."""
+    copy_to(out, pending[0])
+    for row in range(len(pending) - 1):
+        copy_to(pending[row], pending[row + 1])
+    copy_to(pending[len(pending) - 1], value)
 
 
 class DeadMotor(Section, key="motors.dead"):
@@ -153,7 +160,6 @@ class DeadMotor(Section, key="motors.dead"):
     """[s] when it loses its torque."""
 
 
-@njit
 def within_limit(torque: np.ndarray, limit: float | np.ndarray) -> np.ndarray:
     """Torques [N m] limited to the effort limits of the motors; NaN stays NaN."""
     return np.minimum(np.maximum(torque, -limit), limit)
@@ -341,4 +347,4 @@ def limit_torque(limit: Vec6, command: Vec6, state: Torque) -> None:
     """Torques [N m] of motors without imperfections: the command, limited."""
     state = record(state)
     for i in range(6):
-        state.torque[i] = within_limit(command[i], limit[i])
+        state.torque[i] = np.minimum(np.maximum(command[i], -limit[i]), limit[i])

@@ -1,1 +1,1 @@
-"""What a run leaves behind as data: its log, its metrics, how it ended."""
+"""Data of a run: its log, metrics, outcome and warnings."""

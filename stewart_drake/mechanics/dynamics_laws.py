@@ -32,7 +32,7 @@ def task_inertia(robot: Robot, legs: Legs, out: Mat6) -> None:
     """M [kg m^2, kg m, kg]: inertia of the closed chain in task coordinates."""
     turn = legs.rotation[:]
     rows, mass = np.empty((5, 6)), robot.platform_mass
-    moment, column, pull, row, tip_row = rows[0], rows[1], rows[2], rows[3], rows[4]
+    moment, column, pull, row, tip_row = rows[0, :3], rows[1, :3], rows[2, :3], rows[3], rows[4]
     for i in range(6):
         for k in range(6):
             out[i, k] = 0.0

@@ -343,8 +343,7 @@ def forward_kinematics(robot: Robot, theta: Vec6, pose: Vec6, tolerance: float, 
     """
     tips, slope, residual = np.empty((6, 3)), np.empty((6, 6)), np.empty((6, 1))
     crank_tips(robot, theta, tips)
-    error, iteration = np.inf, 0
-    while True:
+    for iteration in range(iterations + 1):
         closures(robot, tips, pose, residual, slope)
         error = 0.0
         for i in range(6):
@@ -360,4 +359,4 @@ def forward_kinematics(robot: Robot, theta: Vec6, pose: Vec6, tolerance: float, 
             scale = max(scale, abs(residual[k, 0]) / (0.5 if k < 3 else 0.2))
         for k in range(6):
             pose[k] -= residual[k, 0] / scale
-        iteration += 1
+    return np.inf, iterations

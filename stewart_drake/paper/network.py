@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 from functools import partial
 from typing import Any, get_args
 
@@ -60,7 +59,7 @@ def reproduce(study: Reproduction) -> Result:
     data = {k: dataset_from_logs(logs, rows, k, window, about | {"density": k}) for k in get_args(DensityKind)}
     options = TrainingOptions(epochs=study.pick(2000, 300))
     trainings = itertools.product(get_args(DensityKind), get_args(Split))
-    results = {(kind, split): train_network(data[kind], replace(options, split=split)) for kind, split in trainings}
+    results = {(kind, split): train_network(data[kind], options.replace(split=split)) for kind, split in trainings}
     if study.folder is not None:
         study.tuner_file = study.folder / "tuner.json"
         results[density, "samples"].network.save(study.tuner_file)

@@ -12,7 +12,7 @@ import numpy as np
 
 from stewart_drake.base.errors import SingularPoseError
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat3, Mat6, Matrix, Record, Vec3, Vec6, Vec12, record
+from stewart_drake.base.records import Mat3, Mat6, Matrix, Record, TickResult, Vec3, Vec6, Vec12, record
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import loads, task_inertia
@@ -69,7 +69,7 @@ class ClosedForm:
         params = ClosedFormParams.new(gravity=gravity, step=on_grid(options.time_step))
         # With options of other plants too, semi-implicit.
         self._kernel = _rk4 if getattr(options, "integrator", "") == "rk4" else _semi_implicit
-        self._fixed = options.loaded(robot), options.friction_of(robot), params, Legs.empty()
+        self._fixed, self._legs = (options.loaded(robot), options.friction_of(robot), params), Legs.empty()
 
     def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
         """Begins at a pose (6,) and its rate (6,), with relaxed bristles."""
@@ -80,8 +80,8 @@ class ClosedForm:
 
     def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         """A step; SingularPoseError at a dead centre."""
-        leg, margin = self._kernel(*self._fixed, torque, wrench, self._state)
-        if leg >= 0:
+        status, leg, margin = self._kernel(*self._fixed, torque, wrench, self._legs, self._state)
+        if status != laws.OK:
             raise SingularPoseError("serial", self._state["pose"][0].copy(), margin, 0.0, leg)
         return self._measured
 
@@ -181,21 +181,21 @@ def _semi_implicit(
     robot: Robot,
     friction: Friction,
     params: ClosedFormParams,
-    legs: Legs,
     torque: Vec6,
     wrench: Vec6,
+    legs: Legs,
     state: ClosedFormState,
-) -> tuple[int, float]:
+) -> TickResult:
     """One step of M(pose) d(twist)/dt + h = J' (T + friction) + wrench [N m, N], the external one about P.
 
-    Returns -1, or the leg that cannot span, and then the state is not changed; its margin.
+    Returns OK, or SERIAL with the leg that cannot span and its margin, and then the state is not changed.
     """
     robot, friction, params, legs, state = record(robot), record(friction), record(params), record(legs), record(state)
     step, jacobian, accelerations = params.step, np.empty((6, 6)), np.empty((6, 7))
     twist, move, pose, friction_torque = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
     bad = laws.legs_at(robot, state.pose[:], legs)
     if bad >= 0:
-        return bad, legs.reach_margin[bad]
+        return laws.SERIAL, bad, legs.reach_margin[bad]
     _accelerations(robot, legs, state.twist[:], params.gravity, torque, wrench, jacobian, accelerations)
     for k in range(6):
         twist[k] = state.twist[k] + step * accelerations[k, 6]
@@ -208,7 +208,7 @@ def _semi_implicit(
         move[k] = step * twist[k]
     _moved_pose(legs.rotation[:], state.pose[3:], move[:3], move[3:], pose)
     bad = _end_step(robot, friction, legs, step, pose, twist, state)
-    return bad, legs.reach_margin[max(bad, 0)]
+    return laws.SERIAL if bad >= 0 else laws.OK, bad, legs.reach_margin[max(bad, 0)]
 
 
 @njit
@@ -216,23 +216,23 @@ def _rk4(
     robot: Robot,
     friction: Friction,
     params: ClosedFormParams,
-    legs: Legs,
     torque: Vec6,
     wrench: Vec6,
+    legs: Legs,
     state: ClosedFormState,
-) -> tuple[int, float]:
+) -> TickResult:
     """`_semi_implicit` by Runge-Kutta of order 4, in `SUBSTEPS` if a motor with dry friction reverses or sticks."""
     before, step, dry = state.copy(), record(params).step, any_nonzero(record(friction).break_away[:])
     bad, margin = _rk4_step(robot, friction, params, legs, torque, wrench, step, state)
     if not dry or bad >= 0 or _keep_turning(record(before).crank_rate[:], record(state).crank_rate[:]):
-        return bad, margin
+        return laws.SERIAL if bad >= 0 else laws.OK, bad, margin
     state[0] = before[0]
     for _ in range(SUBSTEPS):
         bad, margin = _rk4_step(robot, friction, params, legs, torque, wrench, step / SUBSTEPS, state)
         if bad >= 0:
             state[0] = before[0]
             break
-    return bad, margin
+    return laws.SERIAL if bad >= 0 else laws.OK, bad, margin
 
 
 @njit

@@ -1,4 +1,4 @@
-"""Figures; the only place that imports matplotlib. One module a topic, `runs` for the figures of every run."""
+"""Figures, the only importer of matplotlib: one module per topic, `run_plots` for the figures of a run."""
 
 from stewart_drake.plotting.run_plots import plot_learnt, plot_states, plot_torques
 from stewart_drake.plotting.style import DPI, save_figure

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -50,16 +50,12 @@ def styled(plot: Callable[P, T]) -> Callable[P, T]:
 def panels(rows: int, columns: int, height: float, width: float = 9.0, **subplots: Any) -> tuple[Figure, np.ndarray]:
     figure = Figure(figsize=(width, height))
     axes: np.ndarray = figure.subplots(rows, columns, squeeze=False, **subplots)
-    light_grid(axes.flat)
-    return figure, axes
-
-
-def light_grid(axes: Iterable[Axes]) -> None:
-    """Light colours of ticks and grids, which matplotlib creates later, outside of `styled`."""
-    for panel in axes:
+    # Matplotlib creates ticks and grids later, outside of `styled`, so their colours are set here.
+    for panel in axes.flat:
         panel.tick_params(which="both", color=GREY, labelcolor=TEXT, labelsize=9)
         panel.grid(color="#E6E6E6", linewidth=0.8)
         panel.set_axisbelow(True)
+    return figure, axes
 
 
 class _Decades(LogLocator):

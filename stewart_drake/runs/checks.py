@@ -62,7 +62,8 @@ def check_scenario(scenario: Scenario) -> None:
         try:
             report.raise_if_infeasible()
         except InfeasibleReferenceError as error:
-            hints = _unit_hints(scenario.reference) or _length_hint(scenario)
+            hints = _unit_hints(scenario.reference) if isinstance(scenario.reference, Section) else []
+            hints = hints or _length_hint(scenario)
             hints = hints or _remedies(scenario, report, error.limit)
             error.allowed = "; ".join([error.allowed, *hints])
             raise
@@ -325,16 +326,15 @@ class _AtRest:
         return pose, np.zeros_like(rate), np.zeros_like(acceleration)
 
 
-def _unit_hints(section: object, key: str = "") -> list[str]:
+def _unit_hints(section: Section, key: str = "") -> list[str]:
     """A sentence for each number of a section that is larger than its unit allows, but not in a smaller unit."""
-    hints: list[str] = []
-    if not isinstance(section, Section):
-        return hints
+    hints = []
     for name in section.__pydantic_fields__:
         value, units = getattr(section, name), section.unit_of(name).split(", ")
         place = f"{key or section.section_key}.{name}"
-        hints += _unit_hints(value, place)
-        if isinstance(value, tuple):
+        if isinstance(value, Section):
+            hints += _unit_hints(value, place)
+        if isinstance(value, tuple) and value and isinstance(value[0], Section):
             hints += [hint for k, part in enumerate(value) for hint in _unit_hints(part, f"{place}[{k}]")]
         flat = list(np.ravel(np.array(value, dtype=object))) if isinstance(value, (int, float, tuple)) else []
         length = 6 if len(flat) % 6 == 0 else max(1, len(flat))

@@ -146,10 +146,9 @@ def save_run(log: SimulationLog, folder: Path) -> tuple[Path, str | None]:
     with signals_held():
         metrics = json.dumps(run_metrics(log), indent=2, allow_nan=False) + "\n"
         files = {"log.parquet": log.to_parquet(), "metrics.json": metrics.encode(), **_scenario_files(log.scenario)}
-        problem = None
+        used, problem = folder, None
         try:
             _write_files(files, folder)
-            used = folder
         except DiskError as error:
             used = Path(tempfile.mkdtemp(prefix=f"{folder.name}-"))
             try:

@@ -1,41 +1,32 @@
-"""A tick of the safety layer, compiled: monitors, levels and reactions; and the part of a loop."""
+"""A tick of the safety layer, compiled: monitors, levels and reactions."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import partial
-from typing import Any
-
 import numpy as np
 
-from stewart_drake.base.errors import FAILURES, SafetyStop
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Record, Vec2, Vec6, Vec12, Vec18, record
-from stewart_drake.loop.part import HEALTHY, LoopContext, Part
+from stewart_drake.base.records import Record, Vec1, Vec2, Vec6, Vec12, Vec18, record
+from stewart_drake.loop.part import HEALTHY
 from stewart_drake.mechanics.dynamics_laws import static_torque
 from stewart_drake.mechanics.friction import Friction
-from stewart_drake.mechanics.kinematics_laws import Legs, Robot, robot_record
+from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import all_finite, any_nonzero, copy_to, set_to, solve
 from stewart_drake.mechanics.singularities import WEIGHT_TRUSTED
 from stewart_drake.safety.limits import (
     AT_LIMIT_TIME,
     RUNAWAY_TIME,
-    SUSPECT_HOLD,
     TOO_FAST_TIME,
     Observed,
     SafetyParams,
     broken,
     first_least,
     observe,
-    safety_params,
 )
 from stewart_drake.safety.options import (
     COMMAND,
     CONTROLLER,
     DEADLINE,
-    MEANINGS,
     MEASUREMENT,
-    MONITORS,
     NO_TRIP,
     NOT_MOVING,
     READING,
@@ -43,8 +34,6 @@ from stewart_drake.safety.options import (
     TORQUE_LIMIT,
     TORQUE_RATE,
     UNEXPLAINED,
-    SafetyInputs,
-    SafetyOptions,
 )
 from stewart_drake.safety.residual import (
     MOTOR_WEAK,
@@ -147,7 +136,7 @@ def _unusable(
 
 
 @njit
-def _tick(
+def safety_tick(
     robot: Robot,
     friction: Friction,
     friction_unknown: Friction,
@@ -156,7 +145,7 @@ def _tick(
     command: Vec6,
     measurement: Vec12,
     reference: Vec18,
-    age: np.ndarray,
+    age: Vec1,
     sensor: Vec2,
     controller: Vec2,
     angles: Vec6,
@@ -378,92 +367,3 @@ def _stop(
     state.worst = max(state.worst, state.safety.level)
     state.hold_used = 0.0 if is_seen else state.hold_used + 1.0
     return CONTINUE, 0.0
-
-
-def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
-    """The safety layer; ports for which a loop may have no signal read `NOT_THERE`.
-
-    Where the very first command is bad, `context.initial_torque` is held.
-    """
-    robot, period, torque = context.robot, context.period, context.initial_torque
-    params = safety_params(robot, options, context.gravity, period, context.noise)
-    first = SafetyState.new(
-        torque=torque,
-        good=torque,
-        weight=torque,
-        command=torque,
-        safety=SafetyStatus.new(level=NONE, monitor=NO_TRIP, leg=-1.0),
-        residual=ResidualState.new(angles=np.nan, poses=np.nan, sent_torques=torque),
-    )
-    kernel: Any = _tick
-    numbers = {"robot": robot_record(robot), "friction": context.friction.record(), "friction_unknown": Friction.new()}
-    constants: dict[str, Any] = {"user_trip": np.zeros(2)}
-    if options.monitors:
-        kernel, constants = _tick_with_monitors, {**constants, "options": options}
-    inputs = {"command": 6, "measurement": 12, "reference": 18}
-    inputs |= {name: len(value) for name, value in NOT_THERE.items()}
-    error = partial(_stopped, options, period)
-    part = Part("safety", kernel, constants, inputs, ("torque", "safety"), first, (Legs, Observed), error=error)
-    return part._replace(connections=NOT_THERE, parameters={**numbers, "params": params})
-
-
-def _tick_with_monitors(
-    robot: Robot,
-    friction: Friction,
-    friction_unknown: Friction,
-    params: SafetyParams,
-    user_trip: Vec2,
-    options: SafetyOptions,
-    *arguments: Any,
-) -> tuple[int, float]:
-    """`_tick` with the first of a user's monitors that trips, if any."""
-    command, measured, wanted, age, sensor, controller, *_ = arguments
-    user_trip[:] = 0.0
-    if np.isfinite(measured).all():
-        health = tuple(sensor), tuple(controller)
-        inputs = SafetyInputs(command, measured[:6], measured[6:], wanted[:6], float(age[0]), *health)
-        trip = options.first_user_trip(inputs)
-        user_trip[:] = user_trip if trip is None else trip
-    return _tick(robot, friction, friction_unknown, params, user_trip, *arguments)
-
-
-def _stopped(options: SafetyOptions, period: float, result: Any, arguments: Mapping[str, Any]) -> SafetyStop:
-    (status, fastest), state = result, arguments["state"]
-    names, status_now = options.monitor_names, state["safety"][0]
-    name, leg = names[int(status_now["monitor"])], status_now["leg"]
-    longest = SUSPECT_HOLD if state["residual"]["suspect"].any() else np.inf
-    what = {
-        BLIND: "stopped: no measurement to hold the robot by",
-        RUNAWAY: f"stopping, but a crank turns at {fastest:.3g} rad/s",
-        HOLD_OVER: f"stopped, and held for {min(longest, options.safe_hold_time):g} s",
-    }[status]
-    text = "; ".join(filter(None, (MEANINGS.get(name), what)))
-    if status != HOLD_OVER:
-        state["safety"]["level"] = state["worst"] = END
-    return SafetyStop(name, f"{name}: {text}", int(leg) if leg >= 0.0 else None, first_trip(state, period, names))
-
-
-def first_trip(state: np.ndarray, period: float, names: Sequence[str] = MONITORS) -> dict[str, Any] | None:
-    """The first trip by the layer's state after ticks of a period [s]; None where no monitor tripped.
-
-    monitor, level, time [s], leg, cause of the first trip; worst, the highest level; last, the level now; stopped, the
-    trip after which the controller no longer was in charge, or None.
-    """
-    now: Any = state[0]
-    monitor, level, leg, tick, cause = now["first"].item()
-    if monitor == 0.0:
-        return None
-
-    def trip(monitor: float, tick: float, leg: float) -> dict[str, Any]:
-        time = round(float(tick) * period, 9)
-        return {"monitor": names[int(monitor)], "time": time, "leg": int(leg) if leg >= 0.0 else None}
-
-    last, by, at = now["safety"].item()
-    return {
-        **trip(monitor, tick, leg),
-        "level": LEVELS[int(level)],
-        "cause": FAILURES[int(cause) - 1] if cause > 0.0 else None,
-        "worst": LEVELS[int(now["worst"])],
-        "last": LEVELS[int(last)],
-        "stopped": trip(by, now["ticks"] - now["stop_ticks"], at) if last >= RAMP else None,
-    }

@@ -108,7 +108,9 @@ def watch(
     state.elapsed += 1.0
     if state.elapsed >= params.block:
         _end_block(params, state)
-    return (MOVING, -1) if state.standing == 0.0 else (STANDING, int(state.standing) - 2)
+    if state.standing == 0.0:
+        return MOVING, -1
+    return STANDING, int(state.standing) - 2
 
 
 @njit

@@ -3,7 +3,6 @@
 import functools
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import numba
 import numpy as np
@@ -91,12 +90,3 @@ def test_without_room_for_a_cache_there_is_none_and_a_line(tmp_path, monkeypatch
     monkeypatch.setitem(globals(), "PROGRAM", PROGRAM.replace("import sys", f"import sys; {limit}", 1))
     for _ in range(2):
         assert answer(tmp_path, 2.0) == (2.0, 1, 0, 1)
-
-
-def test_a_record_begins_with_zeros_and_takes_what_fits():
-    kind = jit.fields(number=(), pair=2)
-    of_options = jit.new_record(kind, SimpleNamespace(number=None, pair=[1.0, 2.0], other=3.0), pair=4.0)
-    assert (of_options["number"][0], of_options["pair"][0].tolist()) == (np.inf, [4.0, 4.0])
-    for given, words in (({"other": 1.0}, "no field"), ({"pair": np.zeros(3)}, "broadcast")):
-        with pytest.raises(ValueError, match=words):
-            jit.new_record(kind, **given)

@@ -46,9 +46,9 @@ def test_it_answers_each_reading_with_the_command_of_the_controller(board, tmp_p
     for k, row in enumerate(rows):
         reading = encode(Packet(flags_of("torque", READING, ACTIVE, MEASURED), k + 7, k, 10_000 * k, row))
         controller.step(row.astype(float), k * on_grid(0.01), out)
-        said = decode(answered(board, reading))
-        assert (said.flags, said.answers, said.number) == (flags_of("torque", ACTIVE), k + 7, k + 2)
-        np.testing.assert_array_equal(said.values, out.astype(np.float32))
+        answer = decode(answered(board, reading))
+        assert (answer.flags, answer.answers, answer.number) == (flags_of("torque", ACTIVE), k + 7, k + 2)
+        np.testing.assert_array_equal(answer.values, out.astype(np.float32))
         assert answered(board, reading) is None  # once only
     unmeasured = encode(Packet(flags_of("torque", READING, ACTIVE), 1000, 50, 10**6, row))
     for wrong in (unmeasured, reading[:-1], b"X" + reading[1:], reading[:20] + b"\x01" + reading[21:], asked.raw):
@@ -57,9 +57,9 @@ def test_it_answers_each_reading_with_the_command_of_the_controller(board, tmp_p
 
 def test_a_controller_without_feedback_answers_a_robot_without_encoders(tmp_path):
     board = built(load_controller("hobby_servos").replace({"adaptation": None}), "hobby", tmp_path)
-    said = decode(answered(board, encode(Packet(flags_of("angle", READING, ACTIVE), 1, 0, 0, np.zeros(6)))))
-    assert said.flags == flags_of("angle", ACTIVE)
-    assert np.abs(said.values).max() > 0.0
+    answer = decode(answered(board, encode(Packet(flags_of("angle", READING, ACTIVE), 1, 0, 0, np.zeros(6)))))
+    assert answer.flags == flags_of("angle", ACTIVE)
+    assert np.abs(answer.values).max() > 0.0
 
 
 def test_frames_of_a_serial_line(board):

@@ -9,10 +9,13 @@ from compiled import CHECKED, InC, compiled, compiler
 
 from stewart_drake import Controller, load_scenario
 from stewart_drake.base.errors import ConfigurationError, RunFailure
+from stewart_drake.base.registry import CONTROLLERS, ESTIMATORS, TUNERS
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.base.yaml_files import shipped_folder
 from stewart_drake.export.controller_c import export_controller
+from stewart_drake.export.loop import LoopSource
 from stewart_drake.scenario.assembly import control_side
+from stewart_drake.scenario.controller import controller_parts
 from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 NAMES = sorted(path.stem for path in shipped_folder("scenarios").glob("*.yaml"))
@@ -75,7 +78,7 @@ def assert_same(commands):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(each, marks=[] if each in ("exact_fig7", "reachy_nod") else pytest.mark.slow) for each in SHIPPED],
+    [pytest.param(name, marks=[] if name in ("exact_fig7", "reachy_nod") else pytest.mark.slow) for name in SHIPPED],
 )
 def test_commands_are_those_of_the_controller(name, tmp_path):
     scenario = load_scenario(name)
@@ -119,6 +122,20 @@ OTHERS = {
     }),
     "printed": ("paper_fig7", {"controller.force_map": "printed", "tuner": "fixed"}),
 }  # fmt: skip
+
+
+def test_every_kernel_that_a_controller_reaches_is_printed():
+    """Without a compiler: a law beyond the language is found at once, with its file and line."""
+    scenarios = [load_scenario(name) for name in SHIPPED]
+    scenarios += [load_scenario(name).replace(changes) for name, changes in OTHERS.values()]
+    for scenario in scenarios:
+        side, age = control_side(scenario, True), np.zeros(1)
+        outside = {"time": 1, side.reading: side.context.reading, **{x.signal: x.size for x in side.sources}}
+        parts = controller_parts(scenario, side, age)
+        text = LoopSource(parts, outside, {}, side.context.period, scenario.reading_period, {"age": age}).text()
+        assert all(f"run_{part.name}(struct loop *loop)" in text for part in parts)
+    for key, family in (("controller", CONTROLLERS), ("estimator", ESTIMATORS), ("tuner", TUNERS)):
+        assert {getattr(scenario, key).kind for scenario in scenarios} == set(family.kinds)
 
 
 @pytest.mark.slow

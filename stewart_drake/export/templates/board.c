@@ -1,5 +1,5 @@
 /* The controller @SCENARIO@ on a microcontroller: readings come and commands go as the packets of docs/wire.md. C99, nothing but
-   memcpy, no memory of its own; yours are the line, a clock and the motors' brakes.
+   memcpy, no allocation; yours are the line, a clock and the motors' brakes.
 
    Over UDP, for each datagram of 48 bytes:        if (board_answer(datagram, 48, now_us, answer)) send answer;
    Over a serial line, for each frame to its zero: n = board_from_frame(frame, length, packet);

@@ -24,11 +24,11 @@ void @NAME@_reset(struct @NAME@_controller *controller);
 /* One step.
 
    reading: @MEANS@.
-   reference: what is wanted now, pose [rad, m], rate, acceleration, each (6,).
-   age: [s] of the reading beyond what the scenario says.
+   reference: what is wanted now, (6,) pose [rad, m], (6,) rate, (6,) acceleration.
+   age: [s] of the reading, beyond that in the scenario.
    command: (6,) out, for the motors [@UNIT@].
 
-   Returns 0. Any other number says that the controller has given up: `command` is not set, and the motors are to be
+   Returns 0. With any other number the controller has given up: `command` is not set, and the motors are to be
    brought to rest. 1 and more count the parts of @NAME@_parts; -1 is a command that is no number. */
 int @NAME@_step(
     struct @NAME@_controller *controller, const double *reading, const double *reference, double age, double *command);
@@ -42,7 +42,7 @@ const char *@NAME@_why(const struct @NAME@_controller *controller, int *leg);
 /* A signal of the last step by its name, such as `torque`, `error` or `measurement`; null where there is none. */
 const double *@NAME@_signal(const struct @NAME@_controller *controller, const char *name, int *size);
 
-/* The scenario's reference at a step; after its end the last sample. In a file of its own, for who wants it. */
+/* The scenario's reference at a step; after its end the last sample. In a separate file, which is optional. */
 void @NAME@_reference(long step, double *reference);
 
 #ifdef __cplusplus

@@ -35,3 +35,10 @@ static double modulo(double a, double b)
     const double rest = fmod(a, b);
     return rest != 0.0 && (rest < 0.0) != (b < 0.0) ? rest + b : rest;
 }
+
+static void copy_numbers(double *out, const double *values, int count)
+{
+    for (int k = 0; k < count; k++) {
+        out[k] = values[k];
+    }
+}

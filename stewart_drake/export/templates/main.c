@@ -1,5 +1,5 @@
-/* Replays rows of reading, reference, age and command (numbers between commas) from standard input, and says how far the
-   commands are from those in the rows: `./replay < replay.csv`. With -p it prints its own commands. */
+/* Replays rows of reading, reference, age and command (numbers between commas) from standard input, and prints how far the
+   commands are from those in the rows: `./replay < replay.csv`. With -p it prints its commands too. */
 #include "@NAME@.h"
 
 #include <math.h>
