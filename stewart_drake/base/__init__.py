@@ -1,1 +1,1 @@
-"""What everything stands on, nothing of robots: sections of files, kinds, errors, units, compiled code, files."""
+"""Base of all other packages, without robots: sections of files, kinds, errors, units, compiled code, files."""

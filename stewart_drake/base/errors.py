@@ -1,4 +1,4 @@
-"""Errors of the package; each carries the offending data and says what is allowed.
+"""Errors of the package, with the offending data and what is allowed instead.
 
 Two families matter to a caller. `ConfigurationError` is bad input, found before anything runs (exit status 2).
 `RunFailure` ends a run midway and leaves its log behind (exit status 3); `reason` is a stable name for tables.
@@ -14,9 +14,12 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 
 class StewartDrakeError(Exception):
@@ -30,20 +33,20 @@ class StewartDrakeError(Exception):
 
 
 class ConfigurationError(StewartDrakeError):
-    """A value that the user gave is not usable: `KEY: expected WHAT, got VALUE; HINT`.
+    """An invalid value from the user: `KEY: expected WHAT, got VALUE; HINT`.
 
     Not a ValueError: pydantic would wrap that into an error of its own.
 
     Attributes:
         key: Dotted name of the scenario key, parameter or file.
         value: What was given.
-        allowed: What would have been accepted, after `; ` a hint; with `no such` it begins where the key is wrong.
-        others: Further problems of the same file or section, a line each.
+        allowed: Accepted values, and after `; ` a hint; begins with `no such` if the key is wrong.
+        others: Further problems of the same file or section.
     """
 
     reason = "configuration"
 
-    def __init__(self, key: str, value: Any, allowed: str, *, others: tuple[ConfigurationError, ...] = ()) -> None:
+    def __init__(self, key: str, value: object, allowed: str, *, others: tuple[ConfigurationError, ...] = ()) -> None:
         self.key, self.value, self.allowed, self.others = key, value, allowed, others
         expected, semicolon, hint = allowed.partition("; ")
         expected = expected if expected.startswith("no such") else f"expected {expected}"
@@ -53,8 +56,8 @@ class ConfigurationError(StewartDrakeError):
         return "\n".join([super().__str__(), *map(str, self.others)])
 
     def within(self, place: str) -> ConfigurationError:
-        """The same problems, with the place where they were found before each key."""
-        others = tuple(each.within(place) for each in self.others)
+        """The same problems, with `place` before their keys."""
+        others = tuple(error.within(place) for error in self.others)
         return ConfigurationError(f"{place}{self.key}", self.value, self.allowed, others=others)
 
 
@@ -64,7 +67,7 @@ class InfeasibleReferenceError(ConfigurationError):
     Attributes:
         limit: Name of the limit that is broken first.
         time: [s] first instant at which it is broken.
-        leg: Leg 0..5, or None where the limit belongs to the platform as a whole.
+        leg: Leg 0..5, or None for a limit of the platform.
         margin: Signed distance to the limit in its own unit; negative is outside.
     """
 
@@ -80,7 +83,7 @@ class InfeasibleReferenceError(ConfigurationError):
 
 
 class MissingPackageError(ConfigurationError, ImportError):
-    """A package that not everybody needs is not installed; see `installed_with`."""
+    """An optional package is not installed; see `installed_with`."""
 
     reason = "missing_package"
 
@@ -94,7 +97,7 @@ class MissingPackageError(ConfigurationError, ImportError):
 
 
 class DiskError(StewartDrakeError):
-    """A disk that is full or broken, found while something is written."""
+    """A full or broken disk, found while writing."""
 
     reason = "disk"
 
@@ -103,9 +106,9 @@ class RunFailure(StewartDrakeError, RuntimeError):
     """Something that ends a run midway.
 
     Attributes:
-        leg: Leg 0..5 to which the failure belongs, or None.
-        time: [s] simulated time, filled in by the system in which it happened.
-        traceback: Lines of the traceback where a user's code raised; empty otherwise.
+        leg: Leg 0..5 of the failure, or None.
+        time: [s] simulated time, set by the system that failed.
+        traceback: Lines of the traceback in a user's code; otherwise empty.
     """
 
     reason = "run_failure"
@@ -120,7 +123,7 @@ class RunFailure(StewartDrakeError, RuntimeError):
 
 
 class UnreachablePoseError(RunFailure):
-    """A rod cannot span from its crank circle to its platform joint; `margin` is that of the worst leg, negative."""
+    """A rod cannot reach from its crank to its platform joint; `margin` is that of the worst leg, negative."""
 
     reason = "unreachable_pose"
 
@@ -130,10 +133,10 @@ class UnreachablePoseError(RunFailure):
 
 
 class SingularPoseError(RunFailure):
-    """A pose at which a map loses rank; `margin` is the measure that fell below its limit [-], negative beyond it.
+    """A singular pose; `margin` is the measure that fell below its limit [-], negative beyond the singularity.
 
-    `kind` is `serial` (a crank at its dead centre), `parallel` (the rods' lines) or `rod_joint` (a rod turned by 90 deg
-    in its joint at the crank, whose angles mean nothing there).
+    `kind` is `serial` (a crank at its dead centre), `parallel` (the lines of the rods are linearly dependent) or
+    `rod_joint` (a rod turned by 90 deg in its joint at the crank, where the angles of the joint are undefined).
     """
 
     def __init__(self, kind: str, pose: np.ndarray, margin: float, limit: float, leg: int | None = None) -> None:
@@ -162,7 +165,7 @@ class ForwardKinematicsError(RunFailure):
 
 
 class AssemblyModeError(RunFailure):
-    """Forward kinematics has found another assembly mode than that of `last`, the pose of the tick before."""
+    """Forward kinematics found another assembly mode than that of `last`, the pose of the previous tick."""
 
     reason = "assembly_mode"
 
@@ -185,50 +188,39 @@ class NotFiniteError(RunFailure):
 
     reason = "not_finite"
 
-    def __init__(self, signal: str, value: Any) -> None:
+    def __init__(self, signal: str, value: ArrayLike) -> None:
         self.signal = signal
         super().__init__(f"{signal} is not finite: {np.asarray(value)}")
 
 
 class DrakeCheckError(RunFailure):
-    """A check inside Drake failed; Drake itself would have ended the process."""
+    """A failed check in Drake, which raises SystemExit or RuntimeError for it."""
 
     reason = "drake_check"
 
 
 class SafetyStop(RunFailure):
-    """The safety layer has ended the run; `reason` is the monitor's name, `trip` the first trip of the run."""
+    """The safety layer ended the run; `reason` is the monitor's name, `trip` the first trip of the run."""
 
-    def __init__(self, monitor: str, message: str, leg: int | None, trip: dict[str, Any] | None) -> None:
+    def __init__(self, monitor: str, message: str, leg: int | None, trip: Mapping[str, Any] | None) -> None:
         self.reason, self.trip = monitor, trip
         super().__init__(message, leg)
 
 
 class Status(NamedTuple):
-    """What it means that a kernel ended with a status other than 0.
+    """Meaning of a status of a kernel other than 0."""
 
-    Attributes:
-        reason: Of the failure, one of `FAILURES`.
-        signal: Where what is to blame is among the kernel's arguments: `reference`, or a field as `state.pose`.
-        numbers: Which of its numbers; by default six, a pose or angles of the cranks.
-        of_leg: Whether the second number of the result is a leg.
-        text: The name of a signal that is not finite; else a message, with `at`, those numbers, `leg`
-            and the arguments in braces. Reasons with an error class have their own.
-        limit: [-] to which the margin, the third number of the result, is held.
-        last: Where the pose of the tick before is.
-    """
-
-    reason: str
-    signal: str = ""
-    of_leg: bool = False
-    text: str = ""
-    limit: float = 0.0
-    last: str = ""
-    numbers: slice = slice(6)
+    reason: str  # One of `FAILURES`.
+    signal: str = ""  # The argument of the kernel that caused it: `reference`, or a field such as `state.pose`.
+    of_leg: bool = False  # Whether the second number of the result is a leg.
+    text: str = ""  # Name of a signal that is not finite, or message with {at}, {leg} and arguments.
+    limit: float = 0.0  # [-] of the margin, the third number of the result.
+    last: str = ""  # Like `signal`, the pose of the previous tick.
+    numbers: slice = slice(6)  # Of the signal, for the message; by default a pose or crank angles.
 
 
 def failure(status: Status, leg: int, margin: float, arguments: Mapping[str, Any]) -> RunFailure:
-    """The error of a tick that failed: what its status means, the leg or -1, the margin, and the kernel's arguments."""
+    """Error of a failed tick, from the meaning of its status, leg (or -1), margin, and the kernel's arguments."""
 
     def value(place: str) -> np.ndarray:
         name, _, field = place.partition(".")
@@ -265,7 +257,7 @@ FAILURES = (
     "riccati",
     "not_finite",
 )
-"""Reasons for which a tick may fail, counted from 1 in signals; 1 stands for any other."""
+"""Reasons of failed ticks, numbered from 1 in signals; 1 is also any other reason."""
 
 
 def failure_code(reason: str) -> int:
@@ -274,7 +266,7 @@ def failure_code(reason: str) -> int:
 
 
 def raised_at(error: BaseException) -> str:
-    """Where an exception came from, as ` (file, line n)`; nothing of ours, or where memory was too deep or full."""
+    """Place of an exception, as ` (file, line n)`; empty for errors of this package, of recursion and of memory."""
     frames = traceback.extract_tb(error.__traceback__)
     if not frames or isinstance(error, (RecursionError, MemoryError, StewartDrakeError)):
         return ""
@@ -282,7 +274,7 @@ def raised_at(error: BaseException) -> str:
 
 
 def one_line(error: BaseException) -> str:
-    """What an exception says, in a line; of one that is not this package's with its kind."""
+    """Message of an exception in one line, with its class unless it is of this package."""
     text = " ".join(str(error).split())
     kind = "" if isinstance(error, StewartDrakeError) and text else f"{type(error).__name__}: "
     return f"{kind}{text}".removesuffix(": ")
@@ -290,7 +282,7 @@ def one_line(error: BaseException) -> str:
 
 @contextmanager
 def installed_with(requirement: str, instead: str = "") -> Iterator[None]:
-    """Around an import: where the package is missing, says what pip has to install, and what does without it.
+    """Around an import of an optional package: names the requirement for pip, and what works `instead`.
 
     Raises:
         MissingPackageError: The package is missing.
@@ -310,29 +302,29 @@ def drake_guard(doing: str) -> Iterator[None]:
         raise
     except (SystemExit, RuntimeError) as error:
         if type(error) not in (SystemExit, RuntimeError):
-            # Python's own kinds, such as RecursionError, are no verdict of Drake's.
+            # Subclasses such as RecursionError do not come from Drake.
             raise
         text = str(error) or type(error).__name__
         raise DrakeCheckError(f"{doing}: {' '.join(text.split())}") from error
 
 
 def pose_text(pose: np.ndarray) -> str:
-    """Six numbers in a few digits each."""
+    """A pose with four digits per number."""
     return "[" + ", ".join(f"{x:.4g}" for x in np.ravel(pose)) + "]"
 
 
-def _shown(value: Any) -> str:
-    """A value in one short line, whatever it is."""
+def _shown(value: object) -> str:
+    """Any value in one short line."""
     try:
         text = " ".join(repr(value).split())
-    except Exception:  # whatever its own __repr__ may raise; Python refuses to write out thousands of digits
+    except Exception:  # Any error of its __repr__; Python refuses to print thousands of digits.
         text = f"<{type(value).__name__}>"
     return text if len(text) <= 120 else f"{text[:117]}..."
 
 
 @contextmanager
 def quiet_libraries() -> Iterator[None]:
-    """Keeps libraries' warnings about numbers off the terminal, which our checks find; Python's -W shows them."""
+    """Silences libraries' warnings about numbers, which are checked elsewhere; Python's -W shows them."""
     with np.errstate(all="ignore"), warnings.catch_warnings():
         if not sys.warnoptions:
             warnings.simplefilter("ignore")

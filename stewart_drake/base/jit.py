@@ -1,7 +1,7 @@
-"""numba's decorator for laws, with one cache that is fresh for all sources.
+"""numba's decorator for laws, with a cache that depends on all sources.
 
-A law is a compiled function of numbers, arrays and `records`. `NUMBA_DISABLE_JIT=1` runs the same source in Python, for
-a debugger.
+A law is a compiled function of numbers, arrays and `records`. With `NUMBA_DISABLE_JIT=1` laws run in Python, for a
+debugger.
 """
 
 from __future__ import annotations
@@ -24,22 +24,21 @@ _F = TypeVar("_F", bound=Callable[..., Any])
 
 _PREFIX = "compiled-"
 _PACKAGE = Path(__file__).parents[1]
-_OWN = _PACKAGE / "__pycache__"
+_PYCACHE = _PACKAGE / "__pycache__"
 _CONFIG: Any = numba.config
 _FunctionCache: Any = caching.FunctionCache
-_LAWS: list[Any] = []
+_LAWS: list[object] = []
 _typeof: Any = numba.typeof
-DISABLED = bool(_CONFIG.DISABLE_JIT)
-"""Whether laws run in Python, by `NUMBA_DISABLE_JIT=1`."""
+DISABLED = bool(_CONFIG.DISABLE_JIT)  # Whether laws run in Python, by `NUMBA_DISABLE_JIT=1`.
 
 
 def njit(function: _F) -> _F:
-    """Compiles a law: `numba.njit` with numpy's rules for a division by zero, without Python's lock, and with a cache.
+    """Compiles a law: `numba.njit` with numpy's rules for division by zero, without Python's lock, and with a cache.
 
-    numba looks at a function's own file alone, not at those of what it calls. So machine code is kept in a folder for
-    each state of all sources that compile anything; where there is no place for a cache, there is none.
+    numba's cache checks only the file of a function, not those of the functions that it calls. So compiled code is in a
+    folder for the present state of all sources of laws. Without a writable folder there is no cache.
     """
-    # Nobody calls a law from C, so that entry is not compiled.
+    # The entry for calls from C is not needed.
     options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
     compiled: Any = numba.njit(**options)(function)
     _LAWS.append(compiled)
@@ -47,42 +46,42 @@ def njit(function: _F) -> _F:
         return compiled
     before = _CONFIG.CACHE_DIR
     try:
-        # Where files go is settled as a cache is made; other people's functions keep their own place.
+        # The folder is fixed when a cache is made; functions of other packages keep theirs.
         _CONFIG.CACHE_DIR = str(_FOLDER)
-        with suppress(RuntimeError):  # the place is gone again
+        with suppress(RuntimeError):  # The folder no longer exists.
             compiled._cache = _Cache(function)
     finally:
         _CONFIG.CACHE_DIR = before
     return compiled
 
 
-def specialised(function: Any, arguments: Sequence[Any]) -> Callable[..., Any]:
-    """A law of this package for these types of arguments alone; any other function as it is.
+def specialised(function: Any, arguments: Sequence[object]) -> Callable[..., Any]:
+    """A law for exactly these types of arguments; any other function is returned unchanged.
 
-    Which types they are is not looked up in a call, which takes as long as a small law does, and not checked.
+    Skips numba's type dispatch, which is as slow as a small law; the types are not checked.
     """
     if _CONFIG.DISABLE_JIT or not any(function is law for law in _LAWS):
         return cast("Callable[..., Any]", function)
-    types = tuple(_typeof(each) for each in arguments)
+    types = tuple(map(_typeof, arguments))
     function.compile(types)
     return cast("Callable[..., Any]", function.overloads[types].entry_point)
 
 
 class _Cache(_FunctionCache):
-    """numba's cache of a function, whose files may be damaged, and their disk full, at any time."""
+    """numba's cache of a function, which tolerates damaged files and a full disk."""
 
-    told = False
+    warned = False
 
     @contextmanager
     def _guard_against_spurious_io_errors(self) -> Iterator[None]:
-        """Around all that loads and saves; numba's own, for Windows."""
+        """Replaces a method of numba that is called around loading and saving."""
         try:
             yield
-        except Exception as error:  # of pickle any, of the disk OSError
-            if not _Cache.told:
-                _Cache.told = True
-                why = f"{_FOLDER}: {error or type(error).__name__}"
-                logging.getLogger("stewart_drake").warning(f"stewart-drake: cache of compiled code is bad, {why}")
+        except Exception as error:  # pickle may raise any error, the disk OSError.
+            if not _Cache.warned:
+                _Cache.warned = True
+                text = f"{_FOLDER}: {error or type(error).__name__}"
+                logging.getLogger("stewart_drake").warning(f"stewart-drake: cache of compiled code is bad, {text}")
             try:
                 self.flush()
             except OSError:
@@ -90,7 +89,7 @@ class _Cache(_FunctionCache):
 
 
 def source_digest() -> str:
-    """sha256 of all sources of the package that compile anything, and of the versions that compile them."""
+    """sha256 of all sources of laws, and of the versions of numba and numpy."""
     content = hashlib.sha256(f"{numba.__version__} {np.__version__}".encode())
     for file in sorted(_PACKAGE.rglob("*.py")):
         source = file.read_bytes()
@@ -100,18 +99,18 @@ def source_digest() -> str:
 
 
 def _folder(name: str) -> Path | None:
-    """Where machine code of these sources is kept; None where nothing can be."""
-    # Somebody's own choice comes first; an installation that is not ours to write to has its place at home.
+    """Folder of compiled code; None if none is writable."""
+    # First the user's choice, then the package, then the home folder if the package is read-only.
     home = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache") / "stewart-drake"
-    for place in [*([_CONFIG.CACHE_DIR] if _CONFIG.CACHE_DIR else []), _OWN, home]:
+    for place in [*([_CONFIG.CACHE_DIR] if _CONFIG.CACHE_DIR else []), _PYCACHE, home]:
         try:
             folder = Path(place).expanduser().absolute() / name
             folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryFile(dir=folder):
                 pass
-        except (OSError, RuntimeError):  # RuntimeError: nobody's home
+        except (OSError, RuntimeError):  # RuntimeError: no home folder.
             continue
-        for other in _OWN.glob(f"{_PREFIX}*") if place == _OWN else ():
+        for other in _PYCACHE.glob(f"{_PREFIX}*") if place == _PYCACHE else ():
             if other.name != name:
                 shutil.rmtree(other, ignore_errors=True)
         return folder

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from decimal import Decimal
 from typing import NamedTuple
 
-MIN_SHOWN = 1e-5  # Smaller numbers are not written out.
+MIN_SHOWN = 1e-5  # Smaller numbers are shown as less than this.
 
 
 class TextTable(NamedTuple):
@@ -25,8 +25,8 @@ class TextTable(NamedTuple):
 
 def markdown_table(header: Iterable[object], rows: Iterable[Iterable[object]]) -> str:
     """A table of any values: floats with four digits, a dash for None."""
-    names = [_cell(each) for each in header]
-    lines = [names, ["---"] * len(names), *([_cell(each) for each in row] for row in rows)]
+    names = [_cell(name) for name in header]
+    lines = [names, ["---"] * len(names), *([_cell(value) for value in row] for row in rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 

@@ -1,4 +1,4 @@
-"""A loop in real time: its clock, and what makes it late: other processes and threads, and the garbage collector."""
+"""A loop in real time: its clock, and its priority over other processes, threads and the garbage collector."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-TURN = 0.0005  # [s] after which a thread that has Python's lock gives it to one that waits.
+SWITCH_INTERVAL = 0.0005  # [s] after which a thread releases Python's lock for a waiting one.
 
 
 class Pace:
-    """Equal ticks on the monotonic clock; tick 0 is now, and one that is late makes no other late.
+    """Ticks with a constant period on the monotonic clock, from now; a late tick does not delay later ones.
 
-    A loop that is more than `most_late` [s] late need not catch up: all further ticks are that much later.
+    A loop that is more than `max_lateness` [s] late does not catch up: all further ticks are shifted.
     """
 
-    def __init__(self, period: float, most_late: float = math.inf) -> None:
+    def __init__(self, period: float, max_lateness: float = math.inf) -> None:
         self.period, self.tick = period, 0
-        self._most_late, self._begun = most_late, time.monotonic()
+        self._max_lateness, self._start = max_lateness, time.monotonic()
 
     @property
     def due(self) -> float:
-        """[s] of the monotonic clock, of the present tick."""
-        return self._begun + self.tick * self.period
+        """Time of the present tick on the monotonic clock [s]."""
+        return self._start + self.tick * self.period
 
-    def advance(self, leave_out: bool = False) -> None:
-        """To the next tick, or with `leave_out` to the latest one that is due, where several are."""
+    def advance(self, skip: bool = False) -> None:
+        """Goes to the next tick, or with `skip` to the latest of several that are due."""
         now = time.monotonic()
-        self.tick = max(self.tick + 1, int((now - self._begun) / self.period) if leave_out else 0)
-        if now - self.due > self._most_late:
-            self._begun += now - self.due
+        self.tick = max(self.tick + 1, int((now - self._start) / self.period) if skip else 0)
+        if now - self.due > self._max_lateness:
+            self._start += now - self.due
 
     def wait(self) -> float:
-        """Until the present tick is due; how late it is then [s]."""
+        """Waits until the present tick is due; returns its lateness [s]."""
         if (rest := self.due - time.monotonic()) > 0.0:
             time.sleep(rest)
         return time.monotonic() - self.due
@@ -45,26 +45,26 @@ class Pace:
 
 @contextmanager
 def real_time() -> Iterator[None]:
-    """Within it this thread comes before other processes, where the system allows that, and garbage costs little.
+    """Gives this thread priority over other processes, if the system allows it, and garbage collection little work.
 
-    The other threads come right after it: one that has Python's lock and has to wait would keep this one waiting too.
-    The collector looks at new objects alone; to look at all of them takes 0.1 s.
+    Other threads of the process get the next lower priority, because this one may wait for Python's lock in one of
+    them. The collector checks new objects only; checking all of them takes 0.1 s.
     """
     before = sys.getswitchinterval()
-    sys.setswitchinterval(TURN)
+    sys.setswitchinterval(SWITCH_INTERVAL)
     gc.collect()
     gc.freeze()
-    _come_first("SCHED_RR", 1, 2)
+    _set_priorities("SCHED_RR", 1, 2)
     try:
         yield
     finally:
-        _come_first("SCHED_OTHER", 0, 0)
+        _set_priorities("SCHED_OTHER", 0, 0)
         gc.unfreeze()
         sys.setswitchinterval(before)
 
 
-def _come_first(policy: str, others: int, this: int) -> None:
-    """Sets priorities of threads on Linux; who may do so has CAP_SYS_NICE, or `rtprio` in limits.conf."""
+def _set_priorities(policy: str, others: int, this: int) -> None:
+    """Sets priorities of threads on Linux; it needs CAP_SYS_NICE, or `rtprio` in limits.conf."""
     with suppress(AttributeError, OSError):
         for thread in Path("/proc/self/task").iterdir():
             os.sched_setscheduler(int(thread.name), getattr(os, policy), os.sched_param(others))

@@ -1,7 +1,7 @@
-"""Tables of numbers in CSV and Parquet files, whose columns say their units: `time_s`, `pose_roll_rad`, `torque_0_Nm`.
+"""Tables of numbers in CSV and Parquet files, with units in the names of columns, such as `time_s`, `torque_0_Nm`.
 
-One dialect for all: logs, recorded motions, recordings for identification, poses for calibration. A column is read in
-any of its units, and without one in that of SI; `pose_` may be left out, and capitals make no difference.
+Logs, recorded motions, recordings for identification and poses for calibration have the same columns. A column is read
+in any of its units, and without a unit in that of SI; `pose_` may be left out, and case does not matter.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from stewart_drake.base.atomic_files import check_file, seal, unseal
+from stewart_drake.base.atomic_files import Document, check_file, seal, unseal
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.units import UNITS
 
@@ -33,54 +33,52 @@ for _unit in _READ:
     _base, _size = UNITS.get(_unit, (_unit, 1.0))
     _name = _ENDING.get(_unit, _unit.replace(" ", "").replace("/", "_per_").replace("^", ""))
     ENDINGS.setdefault(_base, {})[_name] = _size
-"""Unit -> endings of a column's name, the first that of what is written, and what one of each is in the unit."""
+"""Unit -> ending of a column's name -> size in the unit; the first ending is the one that is written."""
 
 Coordinate = Literal["roll", "pitch", "yaw", "X", "Y", "Z"]
-COORDINATES: tuple[Coordinate, ...] = get_args(Coordinate)
-AXES = tuple(map(str.lower, COORDINATES))
-"""Of a pose: for a reader, and in names of columns and metrics."""
+COORDINATES: tuple[Coordinate, ...] = get_args(Coordinate)  # Of a pose.
+AXES = tuple(map(str.lower, COORDINATES))  # In names of columns and metrics.
 POSE = tuple((f"pose_{axis}", unit) for axis, unit in zip(AXES, ("rad",) * 3 + ("m",) * 3, strict=True))
 CRANK_ANGLES = tuple((f"crank_angle_{leg}", "rad") for leg in range(6))
-"""Quantities of poses and of cranks with their units."""
+"""Quantities and units of a pose and of the cranks."""
 MAX_COLUMNS = 5000
-_FACTORS = {f"_{ending}": factor for each in ENDINGS.values() for ending, factor in each.items() if ending}
+_FACTORS = {f"_{ending}": factor for sizes in ENDINGS.values() for ending, factor in sizes.items() if ending}
 
 Chosen = Mapping[str, tuple[str, float]]
-"""What a column holds -> its name in the file, and the factor to the unit that is kept."""
+"""Quantity -> name of its column in a file, and the factor to the unit of the result."""
 
 
 def column_name(quantity: str, unit: str) -> str:
-    """What the column of a quantity is called, such as `pose_roll_rad`."""
+    """Name of the column of a quantity, such as `pose_roll_rad`."""
     return f"{quantity}_{next(iter(ENDINGS[unit]))}".removesuffix("_")
 
 
 def quantity_of(column: str) -> tuple[str, float]:
-    """The quantity of a column, its name without the unit, and what one of the unit is in SI."""
-    ending = max((each for each in _FACTORS if column.lower().endswith(each.lower())), key=len, default="")
+    """The quantity of a column, which is its name without the unit, and the size of the unit in SI."""
+    ending = max((text for text in _FACTORS if column.lower().endswith(text.lower())), key=len, default="")
     return column[: len(column) - len(ending)], _FACTORS.get(ending, 1.0)
 
 
 def read_numbers(
-    path: str | Path, source: str, quantities: Sequence[tuple[str, str]], most_bytes: int, most_rows: int
+    path: str | Path, source: str, quantities: Sequence[tuple[str, str]], max_bytes: int, max_rows: int
 ) -> np.ndarray:
-    """Some quantities (n, k) of a .csv or .parquet file with a header, in the units that stand beside them.
+    """Values (n, k) of k quantities, given with their units, from a .csv or .parquet file with a header.
 
-    Columns may come in any order; further ones are left alone. A cell that is empty is NaN. A column that is missing or
-    there twice, and a cell that is no number, are refused; `source` is what messages call the file. In a log the angles
-    of cranks are those that were read.
+    Columns may come in any order, and others are ignored. An empty cell is NaN. Missing and repeated columns and cells
+    that are no numbers are refused; `source` is the file in messages. The crank angles of a log are the measured ones.
     """
 
     def choose(names: list[str]) -> Chosen:
         read = "reading" if any(name.lower().startswith("reading_0") for name in names) else "crank_angle"
-        return {each: column_of(names, each.replace("crank_angle", read), unit, source) for each, unit in quantities}
+        return {name: column_of(names, name.replace("crank_angle", read), unit, source) for name, unit in quantities}
 
-    return np.stack(list(read_columns(path, source, choose, most_bytes, most_rows).values()), axis=-1)
+    return np.stack(list(read_columns(path, source, choose, max_bytes, max_rows).values()), axis=-1)
 
 
 def refuse_cells(
     source: str, quantities: Sequence[tuple[str, str]], values: np.ndarray, wrong: np.ndarray, allowed: str
 ) -> None:
-    """Raises a `ConfigurationError` for the first of the cells of a table (n, k) that are `wrong`."""
+    """Raises a `ConfigurationError` for the first `wrong` cell (n, k) of a table."""
     if wrong.any():
         row, column = np.argwhere(wrong)[0]
         place = f"{source}: row {row + 1}, {quantities[column][0]}"
@@ -88,46 +86,46 @@ def refuse_cells(
 
 
 def refuse_back(source: str, time: np.ndarray) -> None:
-    """Raises a `ConfigurationError` where a time (n,) is not after that of the row before."""
+    """Raises a `ConfigurationError` if times (n,) do not increase."""
     back = ~(np.diff(time, prepend=-math.inf) > 0.0)
     refuse_cells(source, (("time", "s"),), time[:, None], back[:, None], "a time after that of the row before")
 
 
 def read_columns(
-    path: str | Path, source: str, choose: Callable[[list[str]], Chosen], most_bytes: int, most_rows: int
+    path: str | Path, source: str, choose: Callable[[list[str]], Chosen], max_bytes: int, max_rows: int
 ) -> dict[str, np.ndarray]:
-    """Columns (n,) of a table, as `choose` picks them from the names; else as `read_numbers`."""
+    """Columns (n,) of a table that `choose` selects by their names; otherwise like `read_numbers`."""
     import pyarrow as pa
     import pyarrow.csv as pc
     import pyarrow.parquet as pq
 
-    check_file(path, source, most_bytes)
+    check_file(path, source, max_bytes)
     try:
         if Path(path).suffix.lower() == ".parquet":
             with pq.ParquetFile(path, page_checksum_verification=True) as file:
                 rows, chosen = file.metadata.num_rows, choose(_bounded(file.schema_arrow.names, source))
-                # Before they are unpacked: a small file may hold very many.
-                table = None if rows > most_rows else file.read(columns=[name for name, _ in chosen.values()])
+                # Before unpacking: a small file may have very many rows.
+                table = None if rows > max_rows else file.read(columns=[name for name, _ in chosen.values()])
         else:
             with Path(path).open(encoding="utf-8-sig", newline="") as stream:
                 names = [name.strip() for name in next(csv.reader(stream), [])]
             chosen = choose(_bounded(names, source))
-            wanted = dict.fromkeys((name for name, _ in chosen.values()), pa.float64())
+            types = dict.fromkeys((name for name, _ in chosen.values()), pa.float64())
             table = pc.read_csv(
                 path,
-                # One thread: only then does a message name the row.
+                # With several threads, messages do not name the row.
                 pc.ReadOptions(use_threads=False, column_names=names, skip_rows=1, block_size=1 << 24),
-                convert_options=pc.ConvertOptions(include_columns=list(wanted), column_types=wanted),
+                convert_options=pc.ConvertOptions(include_columns=list(types), column_types=types),
             )
             rows = table.num_rows
-        if table is None or rows > most_rows:
-            raise ConfigurationError(source, f"{rows} rows", f"at most {most_rows} rows")
-        # Of text, no number is made; of a Parquet file's decimals and whole numbers, float64.
-        kept = {name: table.column(name).cast(pa.float64()).to_numpy() for name, _ in chosen.values()}
+        if table is None or rows > max_rows:
+            raise ConfigurationError(source, f"{rows} rows", f"at most {max_rows} rows")
+        # Decimals and integers of a Parquet file become float64; text is refused.
+        columns = {name: table.column(name).cast(pa.float64()).to_numpy() for name, _ in chosen.values()}
     except (OSError, ValueError, TypeError, KeyError, csv.Error, pa.ArrowException) as error:
         text = " ".join(str(error).split())[:200] or type(error).__name__
         raise ConfigurationError(source, text, "a table of numbers with a header") from None
-    return {quantity: kept[name] * factor for quantity, (name, factor) in chosen.items()}
+    return {quantity: columns[name] * factor for quantity, (name, factor) in chosen.items()}
 
 
 def _bounded(names: list[str], source: str) -> list[str]:
@@ -137,21 +135,21 @@ def _bounded(names: list[str], source: str) -> list[str]:
 
 
 def column_of(names: Sequence[str], quantity: str, unit: str, source: str) -> tuple[str, float]:
-    """The one column of a quantity, and what its unit is of the one that is kept."""
-    ways = {f"{quantity}_{ending}".removesuffix("_"): factor for ending, factor in ENDINGS[unit].items()}
-    ways[quantity] = 1.0
-    ways |= {name.removeprefix("pose_"): factor for name, factor in ways.items()}
-    folded = {name.lower(): factor for name, factor in ways.items()}
-    columns = [name for name in names if name.lower() in folded]
+    """The only column of a quantity, and the factor from its unit to `unit`."""
+    factors = {f"{quantity}_{ending}".removesuffix("_"): factor for ending, factor in ENDINGS[unit].items()}
+    factors[quantity] = 1.0
+    factors |= {name.removeprefix("pose_"): factor for name, factor in factors.items()}
+    by_name = {name.lower(): factor for name, factor in factors.items()}
+    columns = [name for name in names if name.lower() in by_name]
     if len(columns) != 1:
-        have = ", ".join(columns) or f"none among {', '.join(names)[:300] or 'no columns'}"
+        found = ", ".join(columns) or f"none among {', '.join(names)[:300] or 'no columns'}"
         hint = f"; {hint}" if (hint := no_header(names)) else ""
-        raise ConfigurationError(f"{source}: column of {quantity}", have, f"one of {', '.join(ways)}{hint}")
-    return columns[0], folded[columns[0].lower()]
+        raise ConfigurationError(f"{source}: column of {quantity}", found, f"one of {', '.join(factors)}{hint}")
+    return columns[0], by_name[columns[0].lower()]
 
 
 def no_header(names: Sequence[str]) -> str:
-    """What to ask where all names of columns are numbers; else nothing."""
+    """A hint if all names of columns are numbers, otherwise empty."""
     try:
         return "the first line is numbers: is the header missing?" if [float(name) for name in names] else ""
     except ValueError:
@@ -172,18 +170,18 @@ def numbers_to_csv(quantities: Sequence[tuple[str, str]], values: np.ndarray) ->
     """Values (n, k) of quantities with their units as a CSV table that `read_numbers` reads."""
     import pyarrow as pa
 
-    names = [column_name(*each) for each in quantities]
+    names = [column_name(*quantity) for quantity in quantities]
     return to_csv(pa.table(list(np.asarray(values, dtype=float).T), names=names)).decode()
 
 
-def with_about(table: pa.Table, key: str, about: Mapping[str, Any]) -> pa.Table:
-    """A table with plain values about it and the names of its columns, sealed, under `stewart_drake.KEY`."""
+def with_about(table: pa.Table, key: str, about: Mapping[str, object]) -> pa.Table:
+    """A table with sealed metadata `stewart_drake.KEY`: the plain values `about` and the names of its columns."""
     text = json.dumps(seal({**about, "columns": table.column_names}), allow_nan=False)
     return table.replace_schema_metadata({f"stewart_drake.{key}": text})
 
 
 def to_parquet(table: pa.Table) -> bytes:
-    """A table as a Parquet file, whose pages have checksums."""
+    """A table as a Parquet file with checksums of its pages."""
     import pyarrow.parquet as pq
 
     stream = io.BytesIO()
@@ -191,12 +189,12 @@ def to_parquet(table: pa.Table) -> bytes:
     return stream.getvalue()
 
 
-def parquet_about(path: str | Path, source: str, key: str, most_bytes: int, made_by: str) -> dict[str, Any]:
-    """What `with_about` said of a table in a Parquet file; ConfigurationError where that has changed since."""
+def parquet_about(path: str | Path, source: str, key: str, max_bytes: int, made_by: str) -> Document:
+    """The metadata of `with_about` in a Parquet file; raises a ConfigurationError if the file was changed."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    check_file(path, source, most_bytes, f"a file from {made_by}")
+    check_file(path, source, max_bytes, f"a file from {made_by}")
     try:
         schema = pq.read_schema(path)
         content = (schema.metadata or {})[f"stewart_drake.{key}".encode()]

@@ -1,4 +1,4 @@
-"""Numbers with units as texts: `30 deg`, `300 mm`, `1.5 Hz`; and a guess at the unit that was meant."""
+"""Numbers with units as texts, such as `30 deg` or `1.5 Hz`, and hints for wrong units."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ UNITS: Mapping[str, tuple[str, float]] = {
     **{"rad/s^2": ("rad/s^2", 1.0), "deg/s^2": ("rad/s^2", math.radians(1.0))},
     **{"kg m^2": ("kg m^2", 1.0), "g mm^2": ("kg m^2", 1e-9)},
 }
-"""Unit after a number in a text, as in `30 deg` -> the SI unit, and its size in that."""
+"""Unit in a text -> its SI unit, and its size in that unit."""
 _TEXT = r"^[-+.\d]+ *[A-Za-z°]"
 _MEASURE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z°][\w/^ ]*?)\s*")
 
 
 def in_unit(value: Any, units: str, index: int = 0, length: int = 1) -> Any:
-    """A text such as `30 deg` as a number in the unit of a field, in lists too; anything else as it is.
+    """Converts a text such as `30 deg`, also in lists, to a number in the unit of a field; other values stay.
 
-    Of several units, `rad, m`, the first ones are for the first items of a list; `index` is the place in it.
+    Several units, `rad, m`, are for equal parts of a list, where `index` is a place.
     """
     if isinstance(value, (list, tuple)) and units:
         return tuple(in_unit(item, units, place, len(value)) for place, item in enumerate(value))
@@ -36,8 +36,8 @@ def in_unit(value: Any, units: str, index: int = 0, length: int = 1) -> Any:
     return value if found is None or found.number is None else found.number
 
 
-def wrong_unit(value: Any, unit: str) -> str:
-    """What is allowed instead of a text with another unit, such as `3 mm` for seconds; empty for anything else."""
+def wrong_unit(value: object, unit: str) -> str:
+    """Allowed values for a text with a wrong unit, such as `3 mm` for seconds; empty for other values."""
     found = _measured(value, unit)
     if found is None or found.number is not None:
         return ""
@@ -49,14 +49,14 @@ def wrong_unit(value: Any, unit: str) -> str:
 
 
 class _Measured(NamedTuple):
-    """A text such as `30 deg`: its parts, and the number in the unit of a field; None where the units do not fit."""
+    """A text such as `30 deg`."""
 
     written: str
     unit: str
-    number: float | None
+    number: float | None  # In the unit of a field; None if the units do not fit.
 
 
-def _measured(value: Any, unit: str) -> _Measured | None:
+def _measured(value: object, unit: str) -> _Measured | None:
     match = _MEASURE.fullmatch(value) if isinstance(value, str) and unit else None
     if match is None:
         return None
@@ -68,7 +68,7 @@ def _measured(value: Any, unit: str) -> _Measured | None:
 
 
 def _reciprocal(number: str, name: str, wanted: str) -> str:
-    """A period as a frequency, or a frequency as a period."""
+    """Hint with a period as a frequency, or a frequency as a period."""
     unit, size = UNITS.get(name, ("", 1.0))
     if float(number) == 0.0 or (unit, wanted) not in (("s", "Hz"), ("s", "rad/s"), ("Hz", "s")):
         return ""
@@ -88,11 +88,11 @@ def or_text(schema: Any) -> Any:
     return {**changed, "type": ["number", "string"], "pattern": _TEXT} if changed.get("type") == "number" else changed
 
 
-def smaller_unit(value: Any, unit: str, fits: Callable[[float], bool]) -> str:
+def smaller_unit(value: object, unit: str, fits: Callable[[float], bool]) -> str:
     """`; did you mean 5 ms?` for a number that fits in a smaller unit."""
     base, size = UNITS.get(unit, ("", 1.0))
     for name, (of, factor) in UNITS.items():
-        smaller = of == base and factor < size and name != "cm" and isinstance(value, (int, float))
-        if smaller and fits(value * factor / size):
+        smaller = of == base and factor < size and name != "cm"
+        if smaller and isinstance(value, (int, float)) and fits(value * factor / size):
             return f"; did you mean {value:g} {name}?"
     return ""

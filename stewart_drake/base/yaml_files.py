@@ -1,4 +1,4 @@
-"""The package's YAML files: scenarios, sweeps, comparisons; found by path or by name, and read as plain values."""
+"""YAML files such as scenarios, sweeps and comparisons: found by path or by name, and read as plain values."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from ruamel.yaml.composer import Composer
 from ruamel.yaml.error import MarkedYAMLError
 from ruamel.yaml.events import AliasEvent
 
-from stewart_drake.base.atomic_files import PACKAGE, read_checked
+from stewart_drake.base.atomic_files import PACKAGE, Document, read_checked
 from stewart_drake.base.config import did_you_mean, shorten, to_plain
 from stewart_drake.base.errors import ConfigurationError
 
-MAX_BYTES = 1_000_000
+MAX_BYTES = 1_000_000  # [byte]
 _MARKS = {
     "scenario": ({"reference", "duration", "sensors", "plant"}, "stewart-drake run FILE"),
     "robot": ({"crank_length", "rod_length", "shaft_circle_radius"}, "stewart-drake run sway --set robot=FILE"),
     "sweep": ({"distributions"}, "stewart-drake sweep FILE"),
     "comparison": ({"controllers", "references"}, "stewart-drake compare FILE"),
 }
-"""Kind of a file -> keys by which it is known, and what takes it."""
+"""Kind of a file -> keys that identify it, and a command that uses it."""
 
 
 def shipped_folder(kind: str) -> Path:
-    """Folder of the files of a kind, such as `scenarios`, that the package carries (in a checkout: diagrams/KIND)."""
+    """Folder of the package's files of a kind, such as `scenarios` (in a checkout: diagrams/KIND)."""
     inside = PACKAGE / kind
     return inside if inside.is_dir() else PACKAGE.parent / "diagrams" / kind
 
 
 def find_file(kind: str, name: str | Path) -> Path:
-    """The file that `name` means, a path or the stem of a file of the package; `kind` such as `scenario`."""
+    """The file of a `kind`, such as `scenario`, from a path or the stem of a file of the package."""
     path, shipped = Path(name), {file.stem: file for file in sorted(shipped_folder(f"{kind}s").glob("*.yaml"))}
     try:
-        # A pipe or a device is refused when it is read.
+        # A pipe or a device is refused later, when it is read.
         if path.exists() and not path.is_dir():
             return path
     except OSError as error:
@@ -59,26 +59,26 @@ def _of_another_kind(kind: str, name: str | Path, other: str, use: str) -> Confi
     return ConfigurationError(f"{kind} file", f"the {other} {name}", f"a {kind}; try: {use.replace('FILE', str(name))}")
 
 
-def read_mapping(kind: str, path: Path, longest_name: int) -> dict[str, Any]:
-    """Keys and values of a file; `name` is its stem where it has none, cut to `longest_name`."""
-    what = f"{kind} file {path}"
+def read_mapping(kind: str, path: Path, max_name: int) -> Document:
+    """Keys and values of a file; the default of `name` is its stem, cut to `max_name` characters."""
+    place = f"{kind} file {path}"
     try:
-        text = read_checked(path, what, MAX_BYTES).decode()
+        text = read_checked(path, place, MAX_BYTES).decode()
     except UnicodeDecodeError as error:
-        raise ConfigurationError(what, str(error), "a YAML text in UTF-8") from None
-    data = parse_yaml(text, what)
+        raise ConfigurationError(place, str(error), "a YAML text in UTF-8") from None
+    data = parse_yaml(text, place)
     if not isinstance(data, dict):
-        raise ConfigurationError(what, "an empty file" if data is None else data, "a mapping of keys to values")
+        raise ConfigurationError(place, "an empty file" if data is None else data, "a mapping of keys to values")
     for other, (keys, use) in _MARKS.items():
         if kind in _MARKS and not _MARKS[kind][0] & set(data) and keys & set(data):
             raise _of_another_kind(kind, path, other, use)
-    # The name of a file may hold what the name of a scenario may not.
-    data.setdefault("name", re.sub(r"^\W+|[^\w .+-]", "_", path.stem, flags=re.ASCII)[:longest_name])
+    # Replaces characters that the name of a scenario may not have.
+    data.setdefault("name", re.sub(r"^\W+|[^\w .+-]", "_", path.stem, flags=re.ASCII)[:max_name])
     return data
 
 
 def _yaml() -> YAML:
-    # YAML 1.2: 1e-3 is a number, duplicate keys are refused, and the safe loader builds plain values alone.
+    # YAML 1.2: 1e-3 is a number, duplicate keys are refused, and the safe loader builds only plain values.
     return YAML(typ="safe", pure=True)
 
 
@@ -92,10 +92,10 @@ def _loaded(text: str) -> Any:
 def parse_yaml(text: str, key: str) -> Any:
     """Plain values from a YAML text."""
     try:
-        # A robot's file is read again with each scenario that has this robot.
+        # Cached, because a robot's file is read with every scenario of the robot.
         return copy.deepcopy(_loaded(text))
     except Exception as error:
-        # Of a tag that does not fit its value (`!!bool 3`) the loader lets KeyError, IndexError and others escape.
+        # For a tag that does not fit its value (`!!bool 3`) the loader raises KeyError, IndexError and others.
         mark = getattr(error, "problem_mark", None)
         where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
         problem = str(getattr(error, "problem", None) or f"{type(error).__name__}: {error}").removeprefix("but ")
@@ -104,9 +104,9 @@ def parse_yaml(text: str, key: str) -> Any:
         raise ConfigurationError(key, f"{where}{' '.join(problem.split())}", allowed) from None
 
 
-def parse_changes(texts: Iterable[str], example: str) -> dict[str, Any]:
-    """Keys and plain values of `key=value` texts, as after `--set`; `example` is one."""
-    changes: dict[str, Any] = {}
+def parse_changes(texts: Iterable[str], example: str) -> Document:
+    """Keys and plain values of `key=value` texts of `--set`; messages show `example`."""
+    changes: Document = {}
     for text in texts:
         key, separator, value = (part.strip() for part in text.partition("="))
         if not separator or not key:
@@ -115,8 +115,8 @@ def parse_changes(texts: Iterable[str], example: str) -> dict[str, Any]:
     return changes
 
 
-def to_yaml(data: Any) -> str:
-    """Plain values as YAML that `parse_yaml` reads back."""
+def to_yaml(data: object) -> str:
+    """Plain values as YAML text that `parse_yaml` can read."""
     yaml, stream = _yaml(), StringIO()
     yaml.default_flow_style = None
     yaml.width = 120
@@ -126,7 +126,7 @@ def to_yaml(data: Any) -> str:
 
 
 class _PlainComposer(Composer):
-    """Refuses aliases, and with them merge keys: a few nested ones expand beyond any memory."""
+    """Refuses aliases, and so merge keys: a few nested ones can exhaust the memory."""
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.parser.check_event(AliasEvent):

@@ -1,4 +1,4 @@
-"""Commands for what to write into a scenario, and whether all is well here: `list`, `explain`, `init`, `doctor`."""
+"""Commands that explain files and check the installation: `list`, `explain`, `init`, `doctor`, and others."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
 
 import click
 from click.shell_completion import get_completion_class
@@ -20,7 +19,7 @@ from stewart_drake.base.keys import Key
 from stewart_drake.base.yaml_files import read_mapping, shipped_folder
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
-from stewart_drake.cli.terminal import print_table, shown_compiling, tell
+from stewart_drake.cli.terminal import print_line, print_table, shown_compiling
 from stewart_drake.runs.outputs import write_text
 from stewart_drake.scenario.scenario import Scenario, load_scenario, scenario_schema
 
@@ -35,14 +34,15 @@ def list_(what: str | None) -> None:
             files = sorted(shipped_folder(folder).glob("*.yaml"))
             print_table(folder, [(path.stem, _about(path)) for path in files], ("name", "what it is"), numbers=())
     if what in (None, "kinds"):
-        every = Scenario.keys(inside=True)
-        kinds = [key for key in every if key.kind and key.chooses_kind and key.name.count(".") == 1]
+        kinds = [
+            key for key in Scenario.keys(inside=True) if key.kind and key.chooses_kind and key.name.count(".") == 1
+        ]
         rows = [(key.name.removesuffix(".kind"), key.kind, key.text) for key in kinds]
         print_table("kinds", rows, ("key", "kind", "what it is"), numbers=())
 
 
 def _about(path: Path) -> str:
-    """What a file says of itself, in a sentence."""
+    """First sentence of a file's key `about`, or of its first comment."""
     given = read_mapping("file", path, 100).get("about")
     lines = [
         line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("# yaml-language-server")
@@ -55,62 +55,73 @@ def _about(path: Path) -> str:
 def explain(key: str) -> None:
     """KEY is a scenario key such as controller.period, its last part such as period, a section such as limits.
 
-    A kind such as reference.recorded has a line for each of its keys.
+    A kind such as reference.recorded has a line per key.
 
-    Keys of the files of `sweep`, `compare` and `tune` have that name in front: sweep.distributions, compare.bands.
+    Keys of the files of `sweep`, `compare` and `tune` begin with that name: sweep.distributions, compare.bands.
 
-    Of a word for how a run ended, such as lost, or how the safety layer took a fault, such as ramped, its meaning.
+    KEY may also be an outcome of a run, such as lost, or a reaction of the safety layer, such as ramped.
     """
     every = [*Scenario.keys(inside=True), *_study_keys()]
-    matching = [each for each in every if each.name == key] or [each for each in every if each.name.endswith(f".{key}")]
-    inside_file = [each for each in every if each.name.rpartition(".")[0] == key and key in _STUDIES]
-    if inside_file:
-        lines = [(each.name.rpartition(".")[2], each.text, each.default, each.allowed) for each in inside_file]
-        print_table(
-            f"a file of `stewart-drake {key}`", lines, ("key", "what it does", "default", "allowed"), numbers=()
-        )
+    if key in _STUDIES and (of_file := [item for item in every if _parent(item) == key]):
+        lines = [(_last_part(item), item.text, item.default, item.allowed) for item in of_file]
+        header = ("key", "what it does", "default", "allowed")
+        print_table(f"a file of `stewart-drake {key}`", lines, header, numbers=())
         return
+    matching = [item for item in every if item.name == key] or [item for item in every if item.name.endswith(f".{key}")]
     section, _, kind = key.rpartition(".")
-    if not matching and (of_kind := [each for each in every if each.kind == kind]):
-        places = [each.name.rpartition(".")[0] for each in of_kind]
-        place = section or min(places, key=len)
-        there = [each for each, at in zip(of_kind, places, strict=True) if at == place and not each.chooses_kind]
-        matching = [each._replace(kind="") for each in there]
+    if not matching and (of_kind := [item for item in every if item.kind == kind]):
+        place = section or min(map(_parent, of_kind), key=len)
+        of_place = (item for item in of_kind if _parent(item) == place and not item.chooses_kind)
+        matching = [item._replace(kind="") for item in of_place]
     if not matching:
-        from stewart_drake.logs.outcomes import OUTCOMES
-        from stewart_drake.studies.faults import REACTIONS
+        _explain_outcome(key, every)
+    elif matching[0].chooses_kind:
+        print_table(key, [(item.kind, item.text) for item in matching], ("kind", "what it is"), numbers=())
+    else:
+        inside = [item for item in every if _parent(item) == matching[0].name and not item.chooses_kind]
+        rows = [(item.name, item.text, item) for item in matching]
+        _print_keys(key, rows + [(_last_part(item), item.sentence, item) for item in inside])
 
-        words = {**OUTCOMES, **REACTIONS}
-        if key in words:
-            print_table(
-                key, [("how a run ended" if key in OUTCOMES else "reaction to a fault", words[key])], numbers=()
-            )
-            return
-        names = dict.fromkeys(name for each in every for name in (each.name, each.name.rpartition(".")[2]))
-        allowed = f"a key of a scenario, sweep or comparison, or an outcome{did_you_mean(key, [*names, *words])}"
-        raise ConfigurationError("KEY", key, allowed)
-    inside = [each for each in every if each.name.rpartition(".")[0] == matching[0].name and not each.chooses_kind]
-    if matching[0].chooses_kind:
-        print_table(key, [(each.kind, each.text) for each in matching], ("kind", "what it is"), numbers=())
-        return
+
+def _parent(key: Key) -> str:
+    return key.name.rpartition(".")[0]
+
+
+def _last_part(key: Key) -> str:
+    return key.name.rpartition(".")[2]
+
+
+def _print_keys(title: str, keys: Iterable[tuple[str, str, Key]]) -> None:
+    """A table of keys with their names and texts, without empty columns; equal keys of several kinds are one line."""
     kinds_of: dict[tuple[str, ...], list[str]] = {}
-    for each in [*matching, *inside]:
-        name, text = (each.name.rpartition(".")[2], each.sentence) if each in inside else (each.name, each.text)
-        kinds_of.setdefault((name, text, each.unit, each.default, each.allowed), []).append(each.kind)
+    for name, text, key in keys:
+        kinds_of.setdefault((name, text, key.unit, key.default, key.allowed), []).append(key.kind)
     rows = [(name, ", ".join(filter(None, kinds)), *rest) for (name, *rest), kinds in kinds_of.items()]
     header = ("key", "of kind", "what it does", "unit", "default", "allowed")
     used = [place for place in range(len(header)) if any(row[place] for row in rows)]
     if len(rows) == 1:
-        print_table(key, [(header[place], rows[0][place]) for place in used], numbers=())
+        print_table(title, [(header[place], rows[0][place]) for place in used], numbers=())
     else:
-        print_table(key, [[row[place] for place in used] for row in rows], [header[place] for place in used], ())
+        print_table(title, [[row[place] for place in used] for row in rows], [header[place] for place in used], ())
+
+
+def _explain_outcome(word: str, keys: Iterable[Key]) -> None:
+    from stewart_drake.logs.outcomes import OUTCOMES
+    from stewart_drake.studies.faults import REACTIONS
+
+    outcomes = {**OUTCOMES, **REACTIONS}
+    if word not in outcomes:
+        names = dict.fromkeys(name for key in keys for name in (key.name, _last_part(key)))
+        allowed = f"a key of a scenario, sweep or comparison, or an outcome{did_you_mean(word, [*names, *outcomes])}"
+        raise ConfigurationError("KEY", word, allowed)
+    print_table(word, [("outcome of a run" if word in OUTCOMES else "reaction to a fault", outcomes[word])], numbers=())
 
 
 _STUDIES = ("sweep", "compare", "tune")
 
 
 def _study_keys() -> Iterator[Key]:
-    """The keys of the files of studies, with the command's name before them; `tune` is a section of a comparison."""
+    """Keys of the files of studies, which begin with the command's name; `tune` is a section of a comparison."""
     from stewart_drake.studies.comparison_file import CompareFile
     from stewart_drake.studies.sweep import SweepFile
 
@@ -126,7 +137,7 @@ def _study_keys() -> Iterator[Key]:
     scenario=opt.option("The scenario of that file [default: exact_breathing].", metavar="SCENARIO"),
 )
 def init(file: Path, study: str | None, scenario: str | None) -> None:
-    """FILE is the scenario to write [default: scenario.yaml]; or a sweep, or a comparison, also one to tune."""
+    """FILE is the scenario to write [default: scenario.yaml]; with --for a sweep, a comparison or one to tune."""
     if file.exists():
         raise ConfigurationError("FILE", str(file), "a new file")
     if study is not None:
@@ -134,7 +145,7 @@ def init(file: Path, study: str | None, scenario: str | None) -> None:
         if scenario is not None:
             text = re.sub(r"(?<=\nscenario: )exact_breathing *", lambda _: f"{json.dumps(scenario)}    ", text)
         write_text(file, text.replace("FILE", str(file)))
-        tell(f"file in {file}; next: stewart-drake {study} {file}")
+        print_line(f"file in {file}; next: stewart-drake {study} {file}")
         return
     if scenario is not None:
         raise ConfigurationError("--scenario", scenario, "no value without --for")
@@ -149,7 +160,7 @@ def init(file: Path, study: str | None, scenario: str | None) -> None:
     others = [name for name in Scenario.__pydantic_fields__ if name not in given]
     lines = [
         f"# A scenario: `stewart-drake run {file}` runs it, `stewart-drake check {file}` checks its motion,",
-        "# `stewart-drake explain KEY` explains a key. The robot has encoders, delay and friction, as a real one.",
+        "# `stewart-drake explain KEY` explains a key. The robot has encoders, delay and friction, like a real one.",
         *_commented({"name": file.stem, **{key: given[key] for key in given if key != "name"}}, texts),
         "",
         "# These keys have their defaults:",
@@ -157,11 +168,11 @@ def init(file: Path, study: str | None, scenario: str | None) -> None:
     ]
     write_text(file, "\n".join(lines) + "\n")
     load_scenario(file)
-    tell(f"scenario in {file}; next: stewart-drake run {file}")
+    print_line(f"scenario in {file}; next: stewart-drake run {file}")
 
 
-def _commented(data: Mapping[str, Any], texts: Mapping[str, Key], before: str = "") -> Iterator[str]:
-    """Lines of YAML, each with what its key does."""
+def _commented(data: Mapping[str, object], texts: Mapping[str, Key], before: str = "") -> Iterator[str]:
+    """Lines of YAML with comments that explain the keys."""
     indent = "  " * before.count(".")
     for name, value in data.items():
         comment = _comment(texts[before + name], value) if before + name in texts else ""
@@ -173,8 +184,8 @@ def _commented(data: Mapping[str, Any], texts: Mapping[str, Key], before: str = 
             yield f"{indent}{name}: {value if plain else json.dumps(value)}{comment}"
 
 
-def _comment(key: Key, value: Any = None) -> str:
-    """What a key does; of a text that goes through the values, what this one does."""
+def _comment(key: Key, value: object = None) -> str:
+    """Comment for a key with its unit and text, or the part of the text that explains `value`."""
     chosen = re.search(rf"(?:^|\. ){value}: ([^.]+)", key.text) if isinstance(value, str) else None
     sentence = chosen[1] if chosen else key.sentence
     words = f"[{key.unit}] {sentence}" if key.unit else sentence
@@ -192,15 +203,15 @@ def doctor() -> None:
         name: package_version(name) for name in ("numba", "torch", "mujoco", "distributed")
     }
     # Outside of a checkout there is no revision.
-    unsaid = {"source", "git_revision"} if versions["git_revision"] is None else {"source"}
-    rows = [(name, version or "not installed") for name, version in versions.items() if name not in unsaid]
+    hidden = {"source", "git_revision"} if versions["git_revision"] is None else {"source"}
+    rows = [(name, version or "not installed") for name, version in versions.items() if name not in hidden]
     rows.append(("graphviz", shutil.which("dot") or "not installed: runs write diagram.dot, but no diagram.svg"))
     cache = jit._FOLDER
-    kept = "not cached: set NUMBA_CACHE_DIR to a writable folder"
+    text = "not cached: set NUMBA_CACHE_DIR to a writable folder"
     if cache is not None:
         size = sum(path.stat().st_size for path in cache.rglob("*") if path.is_file())
-        kept = f"{cache}, {size / 1e6:.0f} MB"
-    rows.append(("compiled code", kept))
+        text = f"{cache}, {size / 1e6:.0f} MB"
+    rows.append(("compiled code", text))
     with shown_compiling():
         logs = [run(load_scenario("exact_breathing", ["plant.kind=closed_form", "duration=1"])) for _ in range(2)]
     ticks = logs[1].end_time / logs[1].scenario.controller.period

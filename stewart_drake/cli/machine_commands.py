@@ -1,4 +1,4 @@
-"""Commands that move a machine: `drive`."""
+"""Commands for real robots: `drive` and `export`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import click
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.run_commands import exit_unless_completed, load_learnt, save_learnt, write_results
-from stewart_drake.cli.terminal import print_table, progress_bar, shown_compiling, tell
+from stewart_drake.cli.terminal import print_line, print_table, progress_bar, shown_compiling
 from stewart_drake.logs.signals import SCALES
 from stewart_drake.runs.outputs import begin_journal, check_run_folder, new_run_folder, prepare_file
 from stewart_drake.scenario.scenario import Scenario, load_driven
@@ -42,10 +42,11 @@ def drive(
     keep_model: Path | None,
     trust_code: bool,
 ) -> None:
-    """SCENARIO, or a file of a controller alone, drives a machine: to the motion, along it, and to rest.
+    """SCENARIO, or a file of a controller alone, moves a machine: to the start of the motion, along it, and to rest.
 
-    It stops on its path, and holds, after Ctrl-C, when a reading is too old or a crank is far from where it should be;
-    a second Ctrl-C lets go at once. The results are those of a run; a process that is killed leaves them until then.
+    The machine stops on its path and holds after Ctrl-C, when a reading is too old, or when a crank angle is far from
+    its command; a second Ctrl-C releases it at once. Results are those of `run`; a killed process leaves them up to
+    its last rows.
     """
     from stewart_drake.logs.mcap_file import check_mcap
     from stewart_drake.machines.machine import open_machine
@@ -67,7 +68,7 @@ def drive(
         start = connected(loaded, opened, seconds)
         _print_plan(loaded, machine, opened, start)
         if dry:
-            tell("nothing was moved")
+            print_line("nothing was moved")
             return
         with new_run_folder(as_logged(loaded), out, force, duration=False) as claimed:
             journal = begin_journal(as_logged(loaded), claimed)
@@ -81,28 +82,28 @@ def drive(
     finally:
         opened.disconnect()
         if driven is not None:
-            tell(f"{driven.ending}{opened.after and f'; {opened.after}'}")
+            print_line(f"{driven.ending}{opened.after and f'; {opened.after}'}")
     exit_unless_completed(log, place == claimed)
 
 
 def _print_plan(loaded: Scenario, url: str, machine: Machine, start: Start) -> None:
-    """Where a machine stands, and how it comes to the motion."""
+    """Prints the pose of a machine and its approach to the motion."""
     from stewart_drake.runs.drive import measured_home
 
     model = loaded.controller_model
     home = measured_home(model.robot, start.angles, model.home).tolist()
     rows = [
-        ("angles now [rad]", "  ".join(f"{angle:.4f}" for angle in start.angles)),
-        ("pose now [deg, mm]", "  ".join(f"{value:.2f}" for value in SCALES * start.pose)),
-        ("model.home, if this is its home pose", str(home)),
-        ("its tick", "-" if machine.period is None else f"{1e3 * machine.period:.2f} ms"),
-        ("way to the motion", f"{start.motion.approach:.1f} s"),
-        ("until it rests again", f"{start.duration:.1f} s"),
+        ("present angles [rad]", "  ".join(f"{angle:.4f}" for angle in start.angles)),
+        ("present pose [deg, mm]", "  ".join(f"{value:.2f}" for value in SCALES * start.pose)),
+        ("model.home, if this is the home pose", str(home)),
+        ("control period", "-" if machine.period is None else f"{1e3 * machine.period:.2f} ms"),
+        ("approach to the motion", f"{start.motion.approach:.1f} s"),
+        ("duration until rest", f"{start.duration:.1f} s"),
     ]
     print_table(f"{loaded.name} on {url}", rows)
     joints = None if model.friction is None else model.friction.joints
     if url == "sim:" and joints is not None and not loaded.plant.joints_rub:
-        tell("sim: has ball joints that turn freely, and the model believes that they rub: it will not follow well")
+        print_line("sim: has ball joints without friction, but the model has friction there: tracking will be poor")
 
 
 @command(
@@ -111,17 +112,18 @@ def _print_plan(loaded: Scenario, url: str, machine: Machine, start: Start) -> N
     fmu=opt.option("Folder for controller and robot as FMI 3.0 units.", opt.OUT_FOLDER, "--fmu"),
 )
 def export(scenario: str, c: Path | None, fmu: Path | None, overrides: tuple[str, ...], trust_code: bool) -> None:
-    """SCENARIO, or a file of a controller alone, becomes a header and a source of C99 that needs math.h alone.
+    """SCENARIO, or a file of a controller alone, becomes a header and a source of C99 that needs only math.h.
 
-    The folder has its reference as a table, a replay with which `make check` compares commands, and an example for a
-    microcontroller. What cannot be printed, such as your own controller in Python, is refused with file and line. Units
-    for co-simulation have the same source, and the closed form of the robot; they are compiled here if there is a cc.
+    The folder also has the reference as a table, a replay with which `make check` compares commands, and an example for
+    a microcontroller. Code that cannot be translated, such as a controller of yours in Python, is refused with file and
+    line. Units for co-simulation have the same source, and the closed form of the robot; they are compiled if there is
+    a cc.
     """
     from stewart_drake.export.controller_c import export_controller
     from stewart_drake.export.fmu import write_units
 
     if c is None and fmu is None:
-        raise click.UsageError("export needs --c or --fmu, a folder each")
+        raise click.UsageError("export needs a folder, --c or --fmu")
     loaded = load_driven(scenario, overrides, trust_code)
     with shown_compiling():
         written = [] if c is None else export_controller(loaded, loaded.name, c)
@@ -129,7 +131,5 @@ def export(scenario: str, c: Path | None, fmu: Path | None, overrides: tuple[str
     print_table(loaded.name, [(str(path), f"{path.stat().st_size / 1024.0:.0f} KB") for path in written])
     if c is not None:
         if c / "board.c" not in written:
-            tell(
-                "no board.c: the controller reads a pose, and packets have angles; --set sensors=encoders gives it one"
-            )
-        tell(f"try: make -C {c} check")
+            print_line("no board.c: the controller needs a pose, but packets have angles; use --set sensors=encoders")
+        print_line(f"try: make -C {c} check")

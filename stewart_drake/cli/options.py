@@ -1,4 +1,4 @@
-"""The table of all commands, which load on first use, and the options that several of them share."""
+"""The table of all commands, which are imported on first use, and their common options."""
 
 from __future__ import annotations
 
@@ -8,20 +8,21 @@ from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict, cast
 
 import click
 
 from stewart_drake.cli.terminal import AS_JSON, QUIET, print_json
 
 EXIT_DIFFERENT, EXIT_BAD_INPUT, EXIT_RUN_FAILED, EXIT_INTERNAL, EXIT_INTERRUPTED = 1, 2, 3, 4, 130
+Settings = dict[str, Any]  # Keywords of a click.Option or click.Argument, and `flag`.
 
 
 class About(NamedTuple):
-    """The module of a command, in `cli` or elsewhere, the arguments of an example, and what it does, in a line."""
+    """Where a command is, and its help."""
 
-    module: str
-    example: str
+    module: str  # X for `cli.X_commands`, or a module of the package.
+    example: str  # Arguments.
     summary: str
 
 
@@ -29,34 +30,28 @@ _MOVES = "reachy.commands"
 COMMANDS = {
     "run": About("run", "exact_fig7 --set duration=2", "Simulate a scenario"),
     "live": About("view", "exact_breathing", "Steer a robot in the browser, in real time"),
-    "drive": About(
-        "machine", "reachy_nod --machine sim: --for 5", "Drive a real robot, or one that is simulated apart"
-    ),
+    "drive": About("machine", "reachy_nod --machine sim: --for 5", "Drive a real robot, or a simulated one"),
     "export": About("machine", "reachy_nod --c nod", "Write a controller as C99, for a microcontroller or C++"),
     "replay": About("view", "runs/exact_fig7 runs/exact_fig7-2", "Show runs side by side as one page"),
     "check": About("run", "paper_fig7 --retime", "Check a motion against every limit, without a run"),
-    "moves": About(
-        "reachy.commands", "check dances", "Moves and dances of Reachy Mini: check them, make them possible"
-    ),
+    "moves": About(_MOVES, "check dances", "Check and fix moves and dances of Reachy Mini"),
     "moves check": About(_MOVES, "dances", "Check recorded moves against every limit of the head"),
-    "moves fix": About(_MOVES, "dances", "Change moves, as little as possible, until they can be done"),
-    "moves export": About(
-        "reachy.commands", "dance:simple_nod", "Write moves as the maker's JSON, also shaped for the servos"
-    ),
+    "moves fix": About(_MOVES, "dances", "Change moves, as little as possible, until they are feasible"),
+    "moves export": About(_MOVES, "dance:simple_nod", "Write moves as the maker's JSON, also shaped for the servos"),
     "compare": About("study", "tracking --quick", "Compare controllers over motions and conditions"),
-    "tune": About("study", "fair --quick", "Search the gains with the least cost for each controller"),
+    "tune": About("study", "fair --quick", "Search the gains with the least cost for controllers"),
     "sweep": About("study", "initial_offset --runs 20", "Run a scenario many times with random values"),
     "faults": About("study", "--quick", "Inject every fault, and see how the safety layer reacts"),
-    "reproduce": About("run", "--quick", "Test the paper claim by claim"),
+    "reproduce": About("run", "--quick", "Test the claims of the paper"),
     "calibrate": About("robot", "poses.csv --robot guess.yaml", "Estimate geometry and homing from measured poses"),
     "identify": About("robot", "runs/excite --robot guess.yaml", "Estimate masses, friction and payload from logs"),
-    "excite": About("robot", "--robot guess.yaml", "Design a motion from which `identify` learns most"),
+    "excite": About("robot", "--robot guess.yaml", "Design an informative motion for `identify`"),
     "margins": About("run", "exact_breathing --poses 100", "Stability margins of the linearised loop"),
     "bode": About("run", "exact_breathing", "Frequency response of the linearised loop"),
     "step": About("run", "exact_breathing --axis Z --size 1mm", "Step response of the whole loop"),
-    "workspace": About("run", "--scenario sway --samples 100000", "Compute where a robot can go, and with what torque"),
-    "robots": About("robot", "", "List the robots that a scenario can name"),
-    "robots show": About("robot", "reachy_mini", "Print a robot's parameters, and what follows from them"),
+    "workspace": About("run", "--scenario sway --samples 100000", "Compute a robot's workspace and its torques there"),
+    "robots": About("robot", "", "List the robots of the package"),
+    "robots show": About("robot", "reachy_mini", "Print a robot's parameters and derived values"),
     "robots from-table": About(
         "robot", "points.csv --unit mm --set crank_length=30", "Make a robot from joint positions"
     ),
@@ -68,16 +63,15 @@ COMMANDS = {
     "tuner show": About("study", "", "Print a policy: its settings, inputs and training"),
     "tuner judge": About("study", "runs/tuner.json", "Compare a policy with other tuners, in new situations"),
     "list": About("lookup", "scenarios", "List scenarios, controllers, comparisons, sweeps, robots and kinds"),
-    "explain": About("lookup", "controller.period", "Explain a key: what it does, unit, default, allowed values"),
-    "init": About("lookup", "mine.yaml", "Write a first scenario, with a comment on each key"),
+    "explain": About("lookup", "controller.period", "Explain a key: text, unit, default, allowed values"),
+    "init": About("lookup", "mine.yaml", "Write a first scenario, with comments on its keys"),
     "doctor": About("lookup", "", "Check the installation and its speed"),
     "schema": About("lookup", "> schema.json", "Print the JSON schema of scenario files, for editors"),
     "completion": About("lookup", "bash", "Print a script for shell completion"),
 }
 
 
-TAKE_CONTROLLERS = ("check", "drive", "export", "live")
-"""Commands that take a file of a controller alone too."""
+TAKE_CONTROLLERS = ("check", "drive", "export", "live")  # Commands that also take a file of a controller alone.
 
 
 def _quiet(context: click.Context, _: click.Parameter, given: bool) -> None:
@@ -95,7 +89,7 @@ def _flag(name: str, callback: Callable[..., None], text: str) -> click.Option:
 
 
 class Command(click.Command):
-    """A command whose help begins with an example and its summary from `COMMANDS`, and which may be quiet."""
+    """A command with the options `--quiet` and `--json`, and an example in its help."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -109,7 +103,7 @@ class Command(click.Command):
 
 
 class Group(Command, click.Group):
-    """A group whose commands load when one of them is asked for."""
+    """A group whose commands are imported when one is used."""
 
     def _known(self) -> dict[str, About]:
         first = "" if self.name == "cli" else f"{self.name} "
@@ -121,7 +115,7 @@ class Group(Command, click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         known = self._known()
-        # For a name that is not there, all: click says which one is close to it.
+        # All for an unknown name: click suggests similar ones.
         for about in [known[cmd_name]] if cmd_name in known else known.values():
             place = about.module if "." in about.module else f"cli.{about.module}_commands"
             import_module(f"stewart_drake.{place}")
@@ -149,8 +143,8 @@ def _print_version(context: click.Context, _: click.Parameter, wanted: bool) -> 
 def cli() -> None:
     """Closed-loop torque control of rotary Stewart platforms in Drake.
 
-    Exit status: 0 done, 1 a number differs (reproduce), 2 bad input, 3 a run was stopped, lost or failed, or no memory
-    or workers are left, 4 an internal error, 130 interrupted.
+    Exit status: 0 done, 1 a number differs (reproduce), 2 bad input, 3 a run was stopped, lost or failed, or memory or
+    workers were exhausted, 4 an internal error, 130 interrupted.
     """
 
 
@@ -159,7 +153,7 @@ OUT_FILE, OUT_FOLDER = click.Path(dir_okay=False, path_type=Path), click.Path(fi
 
 
 class Seconds(click.ParamType):
-    """A number of seconds, or one with its unit: `20s`, `15 ms`; not less than `least`."""
+    """A number of seconds, at least `least`, also with a unit: `20s`, `15 ms`."""
 
     name = "seconds"
 
@@ -178,33 +172,33 @@ class Seconds(click.ParamType):
 SECONDS = Seconds()
 
 
-def option(text: str, kind: Any = None, flag: str | None = None, **more: Any) -> dict[str, Any]:
-    """An option: its help text, its type, and its flag where that is not its name."""
+def option(text: str, kind: click.ParamType | type | None = None, flag: str | None = None, **more: object) -> Settings:
+    """An option with its help text, its type, and its flag if that is not the name."""
     return {"help": text, "type": kind, "flag": flag, **more}
 
 
-def switch(text: str) -> dict[str, Any]:
+def switch(text: str) -> Settings:
     """An option without a value."""
     return option(text, is_flag=True)
 
 
-def _completed_from(kind: str) -> dict[str, Any]:
-    """For a shell to complete: files of a kind that the package has; the shell's own are paths."""
+def _completed_from(kind: str) -> Settings:
+    """Shell completion by the package's files of a kind; the shell completes paths."""
 
     def complete(ctx: click.Context, __: click.Parameter, begun: str) -> list[str]:
         from stewart_drake.base.yaml_files import shipped_folder
 
         kinds = (kind, "controllers") if ctx.info_name in TAKE_CONTROLLERS else (kind,)
-        files = (path for each in kinds for path in shipped_folder(each).glob(f"{glob.escape(begun)}*.yaml"))
+        files = (path for name in kinds for path in shipped_folder(name).glob(f"{glob.escape(begun)}*.yaml"))
         return sorted({path.stem for path in files})
 
     return {"shell_complete": complete}
 
 
-OPTIONS: dict[str, dict[str, Any]] = {
+OPTIONS: dict[str, Settings] = {
     "about": option("One line on the robot.", default=""),
     "browser": option("Open the page in a browser.", flag="--browser/--no-browser", default=True),
-    "budget": option("Evaluations for each controller, in place of the file's.", click.IntRange(1)),
+    "budget": option("Evaluations per controller, in place of the file's generations.", click.IntRange(1)),
     "controllers": option("Controller to tune [default: all].", flag="--controller", multiple=True, metavar="NAME"),
     "cranks": option(
         "Direction of level cranks, if the table has none: outwards, towards the partner, away from it, tangential.",
@@ -213,7 +207,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "encoder_bits": option("Encoder resolution, bits per turn.", click.IntRange(4, 40), default=17),
     "force": switch("Replace the results of another scenario in the folder."),
     "hold": option("Do not estimate these parameters.", multiple=True),
-    "keep_model": option("Begin with the `model` in FILE, if there, and leave what was learnt in it.", OUT_FILE),
+    "keep_model": option("Start with the `model` in FILE, if it exists, and save the learnt one there.", OUT_FILE),
     "lag": option("Delay of the torques in a CSV file [s].", SECONDS, "--torque-lag", default=0.0),
     "out": option("Folder for results [default: runs/NAME].", PATH),
     "overrides": option("Change a key, e.g. --set {example}.", flag="--set", multiple=True, metavar="KEY=VALUE"),
@@ -224,26 +218,34 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "position_noise": option("Standard deviation of the tracker [m].", float, default=2e-5),
     "quick": switch("Few and short runs, for a first look."),
     "report_folder": option("Folder for a report with tables and a plot.", OUT_FOLDER, "--report"),
-    "restart": switch("Start anew: ignore the finished runs of an earlier call."),
+    "restart": switch("Ignore the finished runs of an earlier call."),
     "retime": switch("If the motion is infeasible, find the highest feasible speed."),
     "robot": option("Name or YAML file; motions, loads and faults are scaled to it [default: the file's robot]."),
     "rotation_noise": option("Standard deviation of the tracker [rad].", float, default=1e-4),
     "runs": option("Number of runs, in place of the file's.", click.IntRange(1)),
-    "samples": option("Poses in each of the two workspaces.", click.IntRange(1000, 10**7), default=10**6),
+    "samples": option("Poses per workspace.", click.IntRange(1000, 10**7), default=10**6),
     "scale": switch("If the motion is infeasible, find the largest feasible size."),
     "scheduler": option("Run on a Dask cluster, e.g. tcp://host:8786.", metavar="ADDRESS"),
     "seed": option("Seed of everything random.", click.IntRange(0), default=0),
-    "seeds": option("Situations of each kind and robot.", click.IntRange(2), default=14),
+    "seeds": option("Situations per kind and robot.", click.IntRange(2), default=14),
     "trust_code": switch("Allow Python code named in files or by --set to run."),
     "unit": option("Unit of all lengths, in the table and after --set: m, mm, cm or in.", default="m"),
-    "validate": option("A log that is predicted, but not fitted.", PATH, multiple=True),
+    "validate": option("A log for validation, which is not fitted.", PATH, multiple=True),
     "video": option("Also write a film of the run: FILE.gif, or FILE.mp4 (needs ffmpeg).", PATH),
     "workers": option("Processes [default: one per core, at most 8].", click.IntRange(1, 1024)),
 }
-"""Parameter of a command's function -> the option that it is, where the command does not say something else."""
+"""Parameter of a command's function -> its option, unless the command gives another."""
 ARGUMENTS = {name: _completed_from(f"{name}s") for name in ("scenario", "sweep", "comparison")}
-STUDY_OPTIONS = ("workers", "scheduler", "restart")
-"""What all commands of many runs take, which their functions have as `**options`."""
+
+
+class StudyOptions(TypedDict):
+    """Options of all commands of many runs, in `**options` of their functions."""
+
+    workers: int | None
+    scheduler: str | None
+    restart: bool
+
+
 GUESS = option("First guess of the robot: a YAML file or a name.", required=True, metavar="GUESS")
 
 
@@ -251,35 +253,34 @@ def command(
     path: str,
     kind: type[click.Command] = Command,
     *,
-    group: dict[str, Any] | None = None,
+    group: dict[str, object] | None = None,
     example: str = "duration=2",
-    **own: Any,
-) -> Callable[[Callable[..., None]], Any]:
-    """Makes a function a command of `COMMANDS`; its docstring says what the summary there does not.
+    **settings: Settings | str,
+) -> Callable[[Callable[..., None]], click.Command]:
+    """Makes a function a command of `COMMANDS`; its docstring follows the summary in the help.
 
-    Its parameters are the options of `OPTIONS`, or arguments. `own` has what is different for this command: an option,
-    an argument's keywords, or a default; that of `out` says by its ending whether it is a file. `example` is one of a
-    change by `--set`.
+    Parameters are options of `OPTIONS`, or arguments. `settings` has changes for this command: an option, an argument's
+    keywords, or a default; a default of `out` with an ending is a file. `example` is one of a change by `--set`.
     """
     *parent, name = path.split()
-    parent_group: Any = cli.commands[parent[0]] if parent else cli
+    parent_group = cast("Group", cli.commands[parent[0]] if parent else cli)
 
-    def add(function: Callable[..., None]) -> Any:
+    def add(function: Callable[..., None]) -> click.Command:
         params: list[click.Parameter] = []
-        for each in inspect.signature(function).parameters.values():
-            for part in STUDY_OPTIONS if each.kind is each.VAR_KEYWORD else (each.name,):
-                params.append(_parameter(part, str(each.annotation), own.get(part), example))
+        for parameter in inspect.signature(function).parameters.values():
+            for part in StudyOptions.__annotations__ if parameter.kind is parameter.VAR_KEYWORD else (parameter.name,):
+                params.append(_parameter(part, str(parameter.annotation), settings.get(part), example))
         text = f"{COMMANDS[path].summary}.\n\n{inspect.cleandoc(function.__doc__ or '')}"
         return parent_group.command(name, cls=kind, help=text, params=params, **(group or {}))(function)
 
     return add
 
 
-def _parameter(name: str, annotation: str, own: Any, example: str) -> click.Parameter:
-    """The argument or option that a parameter of a command's function stands for."""
-    changed = own if isinstance(own, dict) else {} if own is None else {"default": own}
-    if name == "out" and isinstance(own, str):
-        changed |= option("File to write.", OUT_FILE) if Path(own).suffix else option("Folder for results.", PATH)
+def _parameter(name: str, annotation: str, given: Settings | str | None, example: str) -> click.Parameter:
+    """The argument or option for a parameter of a command's function."""
+    changed = given if isinstance(given, dict) else {} if given is None else {"default": given}
+    if name == "out" and isinstance(given, str):
+        changed |= option("File to write.", OUT_FILE) if Path(given).suffix else option("Folder for results.", PATH)
     if name not in OPTIONS and "help" not in changed:
         several = annotation.startswith("tuple")
         is_optional = several or "default" in changed or "None" in annotation

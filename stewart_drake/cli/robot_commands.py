@@ -6,29 +6,30 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from stewart_drake.base.yaml_files import parse_changes, to_yaml
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
-from stewart_drake.cli.terminal import print_table, progress_bar, say, tell, working
+from stewart_drake.cli.terminal import print_error, print_line, print_table, progress_bar, working
 from stewart_drake.estimation import geometry, servos, torques
 from stewart_drake.hardware.servos import POSITION_PRESETS
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.geometry import Cranks, Unit
 from stewart_drake.robot.geometry import from_table as read_table
 from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
 from stewart_drake.runs.outputs import check_ending, prepare_file, prepared_file, write_text
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
+    from stewart_drake.estimation.calibration import Calibration
     from stewart_drake.estimation.identification import Identification
     from stewart_drake.estimation.servos import ServoIdentification
 
-_PASSES = 16  # Pictures under different lights that are averaged.
-_OWN = ("platform_mass", "rod_mass", "crank_mass", "rotor_inertia", "effort_limit")
-"""What no table says and no robot shares with another."""
+_PASSES = 16  # Averaged renderings of a picture, under different lights.
+_NOT_IN_TABLES = ("platform_mass", "rod_mass", "crank_mass", "rotor_inertia", "effort_limit")
 
 
 @command("robots", opt.Group, group={"invoke_without_command": True})
@@ -61,31 +62,31 @@ def show(name: str, picture: Path | None) -> None:
         with progress_bar("picture", float(_PASSES), unit="passes") as advance:
             size = {"width": 800, "height": 600, "passes": _PASSES}
             render_png(loaded, loaded.home_pose, picture, **size, progress=advance)
-        tell(f"picture in {picture}")
+        print_line(f"picture in {picture}")
 
 
 @command("robots from-table", out="robot.yaml", example="crank_length=0.025")
-def from_table(table: Path, unit: Any, cranks: Any, overrides: tuple[str, ...], about: str, out: Path) -> None:
+def from_table(table: Path, unit: Unit, cranks: Cranks, overrides: tuple[str, ...], about: str, out: Path) -> None:
     """TABLE is a CSV file with one row per leg: shaft_x, shaft_y, shaft_z, joint_x, joint_y, joint_z.
 
-    For points about z also shaft_radius, shaft_deg, shaft_z, joint_radius, joint_deg, joint_z; if need be crank_deg,
-    pair, crank_length, rod_length.
+    In cylindrical coordinates about z: shaft_radius, shaft_deg, shaft_z, joint_radius, joint_deg, joint_z. Optional:
+    crank_deg, pair, crank_length, rod_length.
     """
     parameters = parse_changes(overrides, "crank_length=0.025")
-    made = read_table(table, unit, cranks, parameters)
-    robot = RobotParameters(**made.parameters)
+    read = read_table(table, unit, cranks, parameters)
+    robot = RobotParameters(**read.parameters)
     save_robot(robot, out, about)
-    tell(f"robot in {out}: home at Z = {robot.home_height:.4g} m")
-    if made.pairs:
-        tell(f"pairs of motors: legs {', '.join(f'{one} and {other}' for one, other in made.pairs)}")
-    if made.warning:
-        say(f"warning: {made.warning}")
-    missing = [f"{name} = {getattr(robot, name):g}" for name in _OWN if name not in parameters]
+    print_line(f"robot in {out}: home at Z = {robot.home_height:.4g} m")
+    if read.pairs:
+        print_line(f"pairs of motors: legs {', '.join(f'{one} and {other}' for one, other in read.pairs)}")
+    if read.warning:
+        print_error(f"warning: {read.warning}")
+    missing = [f"{name} = {getattr(robot, name):g}" for name in _NOT_IN_TABLES if name not in parameters]
     if missing:
-        tell(f"taken from the paper's robot, because not given [kg, kg m^2, N m]: {', '.join(missing)}")
+        print_line(f"taken from the paper's robot, because not given [kg, kg m^2, N m]: {', '.join(missing)}")
 
 
-_MODEL: Any = {
+_MODEL: opt.Settings = {
     "robot": opt.option("Name or YAML file [default: the scenario's robot]."),
     "scenario": opt.option("Scenario with the robot and plant.", default="hold"),
     "example": "plant.motor_damping=0.01",
@@ -94,12 +95,12 @@ _MODEL: Any = {
 
 
 def _model_options(write: Callable[[Scenario], str]) -> Callable[..., None]:
-    """A command that writes a scenario's robot for another program."""
+    """Function of a command that writes a scenario's robot for another program."""
 
     def model(file: Path, robot: str | None, scenario: str, overrides: tuple[str, ...], trust_code: bool) -> None:
-        own = [] if robot is None else [f"robot={json.dumps(robot)}"]
-        write_text(file, write(load_scenario(scenario, (*own, *overrides), trust_code)))
-        tell(f"robot in {file}")
+        named = [] if robot is None else [f"robot={json.dumps(robot)}"]
+        write_text(file, write(load_scenario(scenario, (*named, *overrides), trust_code)))
+        print_line(f"robot in {file}")
 
     model.__doc__ = write.__doc__
     return model
@@ -130,11 +131,13 @@ def write_mjcf(scenario: Scenario) -> str:
     out=opt.option("File to write [default: runs/calibrated.yaml; with --plan runs/poses.csv].", opt.OUT_FILE),
     known_frames=opt.option(
         "Known frame: the tracker measures in B (base), or the pose of P itself (platform).",
-        click.Choice(geometry.FRAMES), "--known-frame", multiple=True,
+        click.Choice(geometry.FRAMES),
+        "--known-frame",
+        multiple=True,
     ),
     hold={"type": click.Choice(geometry.KINDS)},
     example="limits.clearance=0.01",
-)  # fmt: skip
+)
 def calibrate(
     file: Path | None,
     robot: str,
@@ -154,8 +157,8 @@ def calibrate(
     tracker's marker in the tracker's frame; crank_angle_0_rad to crank_angle_5_rad (or _deg), the encoder readings. The
     positions of the tracker, and of its marker on the platform, need not be known.
 
-    With --plan it writes the most informative poses to measure, in the same form. They are within the limits of the
-    robot, which --set changes.
+    With --plan it writes the most informative poses to measure, in the same form, within the limits of the robot, which
+    --set changes.
     """
     from stewart_drake.estimation.calibration import calibrate as fit
     from stewart_drake.estimation.poses import MeasurementNoise, plan_poses
@@ -174,7 +177,7 @@ def calibrate(
         write_text(out, planned.targets.to_csv())
         header, rows = planned.table()
         print_table(f"expected 95 % intervals with {plan} poses, largest of the legs, +-", rows, header)
-        tell(f"poses in {out}; once they are measured: stewart-drake calibrate {out} --robot {robot}")
+        print_line(f"poses in {out}; once they are measured: stewart-drake calibrate {out} --robot {robot}")
     elif file is not None:
         out = out or Path("runs/calibrated.yaml")
         with working("fitting"):
@@ -186,12 +189,12 @@ def calibrate(
 
 
 def _write_result(
-    result: Any,
+    result: Calibration | Identification | ServoIdentification,
     title: str,
     out: Path,
     folder: Path | None,
     picture: str,
-    plot: Callable[..., Any],
+    plot: Callable[..., object],
     tables: dict[str, Callable[[], str]],
 ) -> None:
     """Writes the robot's file and the report, and prints the summary."""
@@ -207,7 +210,7 @@ def _write_result(
 
 
 _BODIES = click.Choice(tuple(dict.fromkeys((*torques.KINDS, *servos.KINDS))))
-_MOTIONS: Any = {"robot": opt.GUESS, "hold": {"type": _BODIES}}
+_MOTIONS: opt.Settings = {"robot": opt.GUESS, "hold": {"type": _BODIES}}
 
 
 @command(
@@ -281,7 +284,7 @@ def excite(
     from stewart_drake.estimation.excitation import excite as design
 
     guess = load_robot(robot)
-    # An observer would have to know the robot already.
+    # Unlike an observer, differences need no model of the robot.
     differences = ("estimator={kind: difference, rate_cutoff: 150}", "tuner={kind: block}")
     torque = ("plant.motor_friction=0", "model.friction=null")
     angle = (
@@ -290,13 +293,13 @@ def excite(
         "sensors.resolution_bits=12",
         "estimator={kind: difference}",
         "command_delay=0",
-        # So that what is simulated has no error of its own.
+        # Small steps, so that the simulated log has no integration error.
         "plant={kind: closed_form, integrator: rk4, time_step: 0.00025}",
         "model={}",
     )
     duration = duration or (60.0 if motors is None else 20.0)
-    own = (f"robot={json.dumps(robot)}", *differences, *(torque if motors is None else angle), f"duration={duration!r}")
-    scenario = load_scenario("exact_breathing", (*own, *overrides), trust_code)
+    keys = (f"robot={json.dumps(robot)}", *differences, *(torque if motors is None else angle))
+    scenario = load_scenario("exact_breathing", (*keys, f"duration={duration!r}", *overrides), trust_code)
     room = ROOM if motors is None else SERVO_ROOM
     with prepared_file(out):
         with progress_bar("designing", float(MOTIONS), unit="motions") as advance:
@@ -310,4 +313,4 @@ def excite(
         ("scenario in", str(out)),
     ]
     print_table(f"excitation of {robot}", rows)
-    tell(f"next: stewart-drake run {out}")
+    print_line(f"next: stewart-drake run {out}")

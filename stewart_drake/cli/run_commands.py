@@ -1,4 +1,4 @@
-"""Commands on one scenario: `run`, `check`, `margins`, `workspace`; and `schema` and `reproduce`."""
+"""Commands on one scenario: `run`, `check`, `margins`, `bode`, `step`, `workspace`; and `reproduce`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
@@ -22,7 +21,7 @@ from stewart_drake.base.tables import COORDINATES, numbers_to_csv
 from stewart_drake.base.yaml_files import read_mapping, to_yaml
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
-from stewart_drake.cli.terminal import print_table, progress_bar, say, shown_compiling, tell, working
+from stewart_drake.cli.terminal import print_error, print_line, print_table, progress_bar, shown_compiling, working
 from stewart_drake.control.adaptation import (
     has_learnt,
     last_learnt,
@@ -78,7 +77,7 @@ def run(
         check_scenario(loaded)
     prepared = run_of(loaded)
     graph = prepared.graph()
-    # Only now, with everything checked, does anything appear on the disk.
+    # Files are written only after all checks.
     if video is not None:
         prepare_file(video)
     if keep_model is not None:
@@ -90,13 +89,13 @@ def run(
     save_learnt(log, keep_model)
     if (place / "replay.html").exists():
         other = "run exact_fig7" if loaded.name == "paper_fig7" else "live"
-        tell(f"open {place / 'replay.html'}; try: stewart-drake {other}")
+        print_line(f"open {place / 'replay.html'}; try: stewart-drake {other}")
     if video is not None and len(log.time):
         from stewart_drake.runs.pictures import write_film
 
         with progress_bar("film", log.end_time) as advance:
             write_film(log, video, progress=advance)
-        tell(f"film in {video}")
+        print_line(f"film in {video}")
     exit_unless_completed(log, place == claimed)
 
 
@@ -109,10 +108,10 @@ def write_results(
     try:
         problem = problem or draw_run(log, place, graph, plots)
     except KeyboardInterrupt:
-        say("pictures: interrupted")
+        print_error("pictures: interrupted")
         raise
     if problem:
-        say(problem)
+        print_error(problem)
     return place
 
 
@@ -153,23 +152,25 @@ def save_learnt(log: SimulationLog, file: Path | None) -> None:
     if file is None or not len(log.time):
         return
     if log.status not in ("completed", "interrupted"):
-        say(f"nothing kept in {file}: what a run learns that was not completed may be wrong")
+        print_error(f"nothing saved in {file}: the result of a run that was not completed may be wrong")
         return
     if not has_learnt(log):
-        say(f"nothing kept in {file}: nothing was learnt; a robot has to move, and `adaptation` must not be frozen")
+        print_error(
+            f"nothing saved in {file}: nothing was learnt; the robot must move, and `adaptation` must not be frozen"
+        )
         return
     model = log.scenario.model.given() | model_of(last_learnt(log), log.scenario.controller_model)
     write_text(file, to_yaml({_LEARNT_OF: machine_text(log.scenario.controller_model), "model": to_plain(model)}))
-    tell(f"what was learnt in {file}; the next run with --keep-model {file} starts with it")
+    print_line(f"learnt model in {file}; the next run with --keep-model {file} starts with it")
     if (learning := log.scenario.adaptation) and (key := learning.forgets):
-        tell(f"adaptation.{key} begins without friction all the same: --set adaptation.{key}=false")
+        print_line(f"adaptation.{key} starts without friction nevertheless: --set adaptation.{key}=false")
 
 
 def exit_unless_completed(log: SimulationLog, in_place: bool) -> None:
     """Exits with an error status if the run was not completed, or its results are in another folder."""
     if log.status != "completed":
-        why = (log.message or "").removeprefix(f"{log.reason}: ")
-        say(f"{describe_outcome(log.status, log.reason, log.outcome_time)}: {why}")
+        message = (log.message or "").removeprefix(f"{log.reason}: ")
+        print_error(f"{describe_outcome(log.status, log.reason, log.outcome_time)}: {message}")
         sys.exit(opt.EXIT_INTERRUPTED if log.status == "interrupted" else opt.EXIT_RUN_FAILED)
     if not in_place:
         # The disk was full.
@@ -189,12 +190,12 @@ def _print_run(log: SimulationLog, place: Path, machine: str) -> None:
         rows.append(("reference", note))
     for metric in metrics_of(log.scenario):
         value = metrics[metric.name]
-        # A second half that was not reached is shown as a dash; weights that a run does not have are left out.
+        # A dash if the second half was not reached; without weights, their lines are left out.
         if metric.label and (value is not None or metric.over.startswith("second_half")):
             rows.append((metric.label, metric.shown(value)))
     if log.learns and len(log.time):
         rows += rows_of(last_learnt(log))
-    rows += [(f"warning: {each['name']}", f"{each['text']}, t = {each['time']:.3f} s") for each in log.warnings]
+    rows += [(f"warning: {entry['name']}", f"{entry['text']}, t = {entry['time']:.3f} s") for entry in log.warnings]
     factor = metrics["real_time_factor"]
     rows += [("real-time factor", "-" if factor is None else f"{factor:.2f}"), ("results in", str(place))]
     print_table(log.scenario.name, rows, data=metrics)
@@ -207,9 +208,9 @@ def _print_run(log: SimulationLog, place: Path, machine: str) -> None:
 def check(
     scenario: str, overrides: tuple[str, ...], scale: bool, retime: bool, out: Path | None, trust_code: bool
 ) -> None:
-    """The check covers the whole run of SCENARIO, or of a controller's file. Your own code is named but not run.
+    """The check covers the whole run of SCENARIO, or of a controller's file. User code is named but not run.
 
-    `plant_torque` is with payload, friction and disturbances, which the controller does not know. Exit status 2: the
+    `plant_torque` includes payload, friction and disturbances, which the controller does not know. Exit status 2: the
     motion is infeasible, or the plant needs more torque than the motors have.
     """
     from stewart_drake.runs import checks
@@ -220,13 +221,13 @@ def check(
     for part in user_parts(loaded):
         part.code.find(part.code_key)
     for code in dict.fromkeys(part.code for part in user_parts(loaded)):
-        asks = "" if code.trusted else "; `run` needs --trust-code for it"
-        tell(f"runs code: {code}{asks}")
+        hint = "" if code.trusted else "; `run` needs --trust-code for it"
+        print_line(f"runs code: {code}{hint}")
     if user_parts((loaded.reference, loaded.safety)):
         if scale or retime:
-            allowed = "a motion and monitors of the package for --scale and --retime; check does not run your own code"
+            allowed = "a motion and monitors of the package for --scale and --retime; check does not run user code"
             raise ConfigurationError("SCENARIO", scenario, allowed)
-        tell("the motion or a monitor is your own code, which check does not run; `run` checks the motion first")
+        print_line("the motion or a monitor is user code, which check does not run; `run` checks the motion first")
         return
     rows, numbers, plant = [], {}, checks.plant_report(loaded)
     for name, worst in {**checks.motion_report(loaded).smallest, **plant.smallest}.items():
@@ -237,40 +238,40 @@ def check(
     header = ("limit", "allowed", "smallest margin", "at", "where")
     print_table(f"{loaded.name}, {loaded.duration:g} s", rows, header, numbers=(1, 2, 3), data=numbers)
     if note := getattr(loaded.reference, "note", ""):
-        tell(f"reference: {note}")
-    tell("what each limit is: stewart-drake explain limits")
-    machine = ("", "simulated", "believed")
-    print_table("the machine, and what `model` believes of it", checks.compared_with_model(loaded), machine, numbers=())
+        print_line(f"reference: {note}")
+    print_line("to explain the limits: stewart-drake explain limits")
+    models = ("", "simulated", "model")
+    print_table("the robot and the controller's model of it", checks.compared_with_model(loaded), models, numbers=())
     changes = _feasible_changes(loaded, scale, retime)
     if out is not None and changes:
         write_atomically(out, to_yaml(loaded.replace(changes).to_dict()).encode())
-        tell(f"scenario in {out}")
+        print_line(f"scenario in {out}")
     checks.check_scenario(loaded)
     plant.raise_if_infeasible()
 
 
-def _feasible_changes(loaded: Scenario, scale: bool, retime: bool) -> dict[str, Any]:
-    """Keys of a scenario with its motion smaller, or slower, as far as its limits ask; prints by how much."""
+def _feasible_changes(loaded: Scenario, scale: bool, retime: bool) -> dict[str, object]:
+    """Keys that make the motion of a scenario feasible, smaller or slower; prints the factor."""
     from stewart_drake.runs.checks import fit_amplitude, fit_speed
 
     motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
-    changes: dict[str, Any] = {}
+    changes: dict[str, object] = {}
     if scale:
         try:
             with working("looking for the largest size"):
                 changes["reference"], factor = fit_amplitude(*motion)
-            tell(f"feasible at {factor:.4f} of its size")
+            print_line(f"feasible at {factor:.4f} of its size")
         except InfeasibleReferenceError as error:
-            tell(f"infeasible at every size; even at rest in its centre, {error}")
+            print_line(f"infeasible at every size; even at rest in its centre, {error}")
     if retime:
         try:
             with working("looking for the highest speed"):
                 changes["reference"], factor = fit_speed(*motion)
             changes["duration"] = duration = factor * loaded.duration
             slower = f"feasible {factor:.4f} times slower, over {duration:.4g} s"
-            tell("feasible at its own speed" if factor == 1.0 else slower)
+            print_line("feasible at its speed" if factor == 1.0 else slower)
         except InfeasibleReferenceError as error:
-            tell(f"infeasible at every speed; even at rest, {error}")
+            print_line(f"infeasible at every speed; even at rest, {error}")
     return changes
 
 
@@ -289,7 +290,7 @@ def margins(scenario: str, out: Path, poses: int, quick: bool, overrides: tuple[
 
     The loop with sensors, estimator, controller and delay is linearised at rest and opened at the six motor torques.
     The margins are gain, phase, delay and disk margins, one motor at a time and all at once. The random poses are up to
-    30 deg about each axis, 60 mm in X and Y and 50 mm in Z from home, within the scenario's limits; lengths scale with
+    30 deg about every axis, 60 mm in X and Y and 50 mm in Z from home, within the scenario's limits; lengths scale with
     the robot. Friction, learning, saturation, a dead band and encoder resolution are left out;
     weights keep their start values. Writes margins.json and margins.png.
     """
@@ -317,7 +318,7 @@ def margins(scenario: str, out: Path, poses: int, quick: bool, overrides: tuple[
 def bode(scenario: str, out: Path, overrides: tuple[str, ...], trust_code: bool) -> None:
     """SCENARIO is a file or a shipped name [default: exact_breathing].
 
-    The loop as `margins` has it, at the pose of the start: singular values of the loop gain, of the sensitivity and of
+    The loop of `margins` at the initial pose: singular values of the loop gain, of the sensitivity and of
     the complementary sensitivity. Writes bode.png and bode.csv.
     """
     from stewart_drake.analysis import response
@@ -349,7 +350,7 @@ def bode(scenario: str, out: Path, overrides: tuple[str, ...], trust_code: bool)
 def step(scenario: str, out: Path, axis: str, size: str | None, overrides: tuple[str, ...], trust_code: bool) -> None:
     """SCENARIO is a file or a shipped name [default: exact_breathing].
 
-    A run of the whole loop that starts beside the pose that it is to hold. Writes step.png.
+    A run of the whole loop that starts with an offset from the pose to hold. Writes step.png.
     """
     from stewart_drake.plotting.model_plots import plot_step
     from stewart_drake.runs import step_response
@@ -389,20 +390,20 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
     try:
         check_scenario(base)
     except ConfigurationError as error:
-        # A region of poses needs no motion.
-        say(f"the scenario's own motion is left out: {error}")
+        # A workspace needs no motion.
+        print_error(f"the scenario's motion is left out: {error}")
     figures = prepare_folder(out / "figures", out)
-    of_base = base.robot, base.limits, base.gravity
+    setup = base.robot, base.limits, base.gravity
     with progress_bar("workspace", 100.0, unit="%") as advance:
         numbers, surveys = study_poses(
-            *of_base, base.robot.home_pose, samples, 20_000, lambda share: advance(60.0 * share)
+            *setup, base.robot.home_pose, samples, 20_000, lambda share: advance(60.0 * share)
         )
         motions, draw = motion_numbers(base, progress=lambda share: advance(60.0 + 40.0 * share))
     numbers |= {"motions": motions}
     write_atomically(out / "workspace.json", (json.dumps(numbers, indent=1, allow_nan=False) + "\n").encode())
     save_figure(draw(), figures / "torques.png")
     for kind, shown in zip(KINDS, (-1, 2), strict=True):
-        cut = slices(*of_base, surveys[kind], 220)[shown]
+        cut = slices(*setup, surveys[kind], 220)[shown]
         save_figure(plot_capability(cut), figures / f"{kind}-capability.png")
     rows = []
     for kind, scale, unit in (("position", 1e3, "L"), ("orientation", 100.0, "% of all")):
@@ -412,9 +413,12 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
             (f"{kind}s within all limits", f"{scale * space['connected']:.3g} {unit}"),
             (f"first limit on straight lines through {kind}s", next(iter(space["first"]), "none").replace("_", " ")),
         ]
-    way, turn = (numbers["workspaces"][kind]["inscribed_radius"] for kind in ("position", "orientation"))
-    rows.append(("free distance in every direction", f"{1e3 * way:.0f} mm, {math.degrees(turn):.0f} deg"))
-    rows += [(f"peak torque of {name}", f"{of['peak_torque']:.3f} N m, {of['status']}") for name, of in motions.items()]
+    distance, angle = (numbers["workspaces"][kind]["inscribed_radius"] for kind in ("position", "orientation"))
+    rows.append(("free distance in every direction", f"{1e3 * distance:.0f} mm, {math.degrees(angle):.0f} deg"))
+    rows += [
+        (f"peak torque of {name}", f"{motion['peak_torque']:.3f} N m, {motion['status']}")
+        for name, motion in motions.items()
+    ]
     print_table(f"numbers and figures in {out}", rows, data=numbers)
 
 
@@ -424,7 +428,7 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
     out=opt.option("Folder for numbers.json and figures/ [default: none is written].", opt.PATH),
 )
 def reproduce(quick: bool, out: Path | None) -> None:
-    """Prints a table of claim, paper, ours, verdict, and each difference from the recorded table in this package."""
+    """Prints a table of claim, paper, ours, verdict, and all differences from the table recorded in the package."""
     from stewart_drake.paper.reproduce import differences, rows
     from stewart_drake.paper.reproduce import reproduce as results_of
 
@@ -434,5 +438,5 @@ def reproduce(quick: bool, out: Path | None) -> None:
     print_table("The paper, claim by claim", rows(claims), ("claim", "paper", "ours", "verdict"))
     different = differences(claims, "quick" if quick else "full")
     for line in different:
-        say(line)
+        print_error(line)
     sys.exit(opt.EXIT_DIFFERENT if different else 0)

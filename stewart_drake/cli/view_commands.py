@@ -11,7 +11,7 @@ import click
 from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
-from stewart_drake.cli.terminal import shown_compiling, tell
+from stewart_drake.cli.terminal import print_line, shown_compiling
 from stewart_drake.logs.log import load_log
 from stewart_drake.scenario.scenario import Scenario, load_driven, load_scenario
 
@@ -20,7 +20,7 @@ from stewart_drake.scenario.scenario import Scenario, load_driven, load_scenario
     "live",
     scenario="sway",
     port=opt.option("Port of the page [default: the first free one from 8000 on].", click.IntRange(1, 65535)),
-    machine=opt.option("Steer a machine, as `drive` names it, in place of the simulation; it moves."),
+    machine=opt.option("Steer a real machine, with an address as for `drive`; it moves."),
     example="plant.payload_mass=0.2",
 )
 def live(
@@ -33,11 +33,11 @@ def live(
 ) -> None:
     """SCENARIO is a file or a shipped name [default: sway].
 
-    Pull or turn the platform with the mouse, move it with sliders, change gains, beliefs and the machine, break a
-    motor, ask for a step, see another controller beside the first. Only this machine can open the page. Ctrl-C ends it.
+    Pull or turn the platform with the mouse, move it with sliders, change gains, model and robot, break a motor,
+    command a step, compare with a second controller. Only this computer can open the page. Ctrl-C ends it.
 
-    With --machine the sliders steer a real robot, with the guards of `drive`, and the page shows it beside the wanted
-    one, which is pale.
+    With --machine the sliders steer a real robot, with the checks of `drive`, and the page shows it and its desired
+    pose, in a pale colour.
     """
     if machine is not None:
         _steer(load_driven(scenario, overrides, trust_code), machine, port, browser, trust_code)
@@ -45,13 +45,11 @@ def live(
     from stewart_drake.live.start import start_live
 
     loaded, engine = load_scenario(scenario, overrides, trust_code), ""
-    if loaded.plant.in_diagram and not any(each.startswith("plant") for each in overrides):
-        # What only Drake's plant has stays there.
+    if loaded.plant.in_diagram and not any(text.startswith("plant") for text in overrides):
+        # Scenarios with features that only Drake's plant has keep it.
         with suppress(ConfigurationError):
-            loaded, engine = (
-                loaded.replace({"plant.kind": "closed_form"}),
-                "the closed form moves it, --set plant=drake Drake; ",
-            )
+            loaded = loaded.replace({"plant.kind": "closed_form"})
+            engine = "simulated by the closed form, by Drake with --set plant=drake; "
     with shown_compiling():
         session, server = start_live(loaded, port)
     try:
@@ -99,9 +97,9 @@ def replay(logs: tuple[Path, ...], out: Path, browser: bool) -> None:
     shown = [load_log(log) for log in logs]
     for path, log in zip(logs, shown, strict=True):
         if log.reason == "cut_off":
-            tell(f"{path}: {log.message}")
+            print_line(f"{path}: {log.message}")
     prepare_file(out)
     write_replay(shown, out, logs)
-    tell(f"page in {out}")
+    print_line(f"page in {out}")
     if browser:
         webbrowser.open(out.absolute().as_uri())

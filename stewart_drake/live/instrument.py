@@ -5,8 +5,9 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -80,14 +81,14 @@ def sliders_of(scenario: Scenario, begun: Scenario) -> list[Slider]:
     tuner = ("tuner",) if scenario.controller.weighted else ()
     for name in ("controller", *tuner, "estimator"):
         around("Gains", name, getattr(scenario, name), getattr(begun, name), _GAIN_RANGE)
-    most = 0.2 * float(scenario.robot.effort_limits.min())
-    found.append(Slider("Machine", "plant.motor_friction", "friction", "N m", 0.0, most))
+    high = 0.2 * float(scenario.robot.effort_limits.min())
+    found.append(Slider("Machine", "plant.motor_friction", "friction", "N m", 0.0, high))
     found.append(Slider("Machine", "command_delay", "delay", "ticks", 0, 8, whole=True))
-    found.append(Slider("Belief", "model.friction.coulomb", "friction", "N m", 0.0, most))
-    found.append(Slider("Belief", "model.delay", "delay", "ticks", 0, 8, whole=True))
+    found.append(Slider("Model", "model.friction.coulomb", "friction", "N m", 0.0, high))
+    found.append(Slider("Model", "model.delay", "delay", "ticks", 0, 8, whole=True))
     around("Machine", "motors", scenario.motors, begun.motors, _MOTOR_RANGE)
     if scenario.model.motors is not None:
-        around("Belief", "model.motors", scenario.model.motors, begun.motors, _MOTOR_RANGE)
+        around("Model", "model.motors", scenario.model.motors, begun.motors, _MOTOR_RANGE)
     return found
 
 
@@ -99,7 +100,7 @@ def slider_value(scenario: Scenario, slider: Slider) -> float:
     return float(np.max(np.asarray(value, dtype=float)))
 
 
-def changes_of_slider(scenario: Scenario, slider: Slider, value: float) -> dict[str, Any]:
+def changes_of_slider(scenario: Scenario, slider: Slider, value: float) -> dict[str, object]:
     """Changes of the scenario for a slider at a value, clipped to its range."""
     value = min(max(value, slider.low), slider.high)
     if slider.key.startswith("model.friction.") and scenario.model.friction is None:
@@ -162,7 +163,7 @@ def spring(robot: RobotParameters, gravity: float, point: np.ndarray, place: np.
 
 
 def turning_spring(robot: RobotParameters, gravity: float, held: np.ndarray, turn: np.ndarray) -> TurningSpring:
-    """The same that turns by a rotation vector (3,) [rad] in B."""
+    """A spring that turns by a rotation vector (3,) [rad] in B."""
     target = Rotation.from_rotvec(turn).as_matrix() @ held
     return TurningSpring(held, target, _FORCE_SHARE * largest(robot, gravity, MOMENT))
 
@@ -229,7 +230,7 @@ class TestMotion:
         if self.kind == "step":
             found = step_figures(t, y)
             rise, settling = (
-                f"{1e3 * each:.0f} ms" if np.isfinite(each) else "-" for each in (found.rise_time, found.settling_time)
+                f"{1e3 * time:.0f} ms" if np.isfinite(time) else "-" for time in (found.rise_time, found.settling_time)
             )
             return f"{what}: rise {rise}, overshoot {100.0 * found.overshoot:.0f} %, settled after {settling}"
         frequency = self.frequency / (2.0 * math.pi)
@@ -239,7 +240,16 @@ class TestMotion:
         return f"{what}, {frequency:.3g} Hz: gain {abs(ratio):.3f}, phase {phase:.1f} deg"
 
 
-# --- what was done ---
+# --- recording ---
+
+
+@dataclass
+class Push:
+    """A push while the loop runs."""
+
+    wrench: list[float]  # (6,) [N m, N] moment about P and force, in B.
+    time: float  # [s]
+    until: float  # [s]
 
 
 class Recorder:
@@ -248,8 +258,8 @@ class Recorder:
     def __init__(self, step: float) -> None:
         self.every = max(1, round(_RECORD_PERIOD / step))
         self.rows = Rows(row_layout(_COLUMNS), round(_RECORDED / (self.every * step)))
-        self.pushes: list[dict[str, Any]] = []
-        self.changes: list[tuple[float, Mapping[str, Any]]] = []
+        self.pushes: list[Push] = []
+        self.changes: list[tuple[float, Mapping[str, object]]] = []
 
     def add(self, *values: float | np.ndarray) -> None:
         """Adds a row of `_COLUMNS`; to be called every `every` steps of the plant."""
@@ -269,9 +279,9 @@ class Recorder:
         rows = np.column_stack([signals["time"], signals["reference"]])
         rows = rows[:: max(1, round(0.01 / max(1e-6, float(np.median(np.diff(rows[:, 0]))))))]
         pushes = [
-            {"kind": "step", "wrench": push["wrench"], "time": push["time"] - begin, "until": until - begin}
+            {"kind": "step", "wrench": push.wrench, "time": push.time - begin, "until": until - begin}
             for push in self.pushes
-            if push["time"] >= begin and (until := min(push["until"], end)) > push["time"]
+            if push.time >= begin and (until := min(push.until, end)) > push.time
         ]
         changed = scenario.replace({"duration": float(max(end - begin, 0.1)), "disturbances": pushes})
         data = changed.to_dict()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from copy import deepcopy
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from stewart_drake.base.errors import one_line
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.disturbances import total_wrench
-from stewart_drake.live.instrument import Recorder, Spring, TestMotion, TurningSpring
+from stewart_drake.live.instrument import Push, Recorder, Spring, TestMotion, TurningSpring
 from stewart_drake.live.steering import GOVERNOR_PERIOD, HandReference, Reached
 from stewart_drake.plant.plant_options import ANGLES
 from stewart_drake.safety import Stillness
@@ -48,7 +47,7 @@ class LiveLoop:
         self.ended, self._push, self._push_ends = "", np.zeros(6), -1
         self.spring: Spring | TurningSpring | None = None
         self.test: TestMotion | None = None
-        self._pulled: dict[str, Any] | None = None
+        self._pulled: Push | None = None
         self._step = on_grid(scenario.plant.time_step)
         self.record = Recorder(self._step)
         self._governor_steps = max(1, round(GOVERNOR_PERIOD / self._step))
@@ -58,15 +57,15 @@ class LiveLoop:
         self._loop = self._loop_of(scenario)
         self._loop.begin()
 
-    def change(self, changes: Mapping[str, Any]) -> None:
+    def change(self, changes: Mapping[str, object]) -> None:
         """Changes keys of the scenario, see `Scenario.replace`; a ConfigurationError leaves all as it was."""
         loop = self._loop_of(self.scenario.replace(changes))
         loop.take_over(self._loop)
         self._loop = loop
         self.record.changes.append((self.time, changes))
 
-    def copy_with(self, changes: Mapping[str, Any]) -> LiveLoop:
-        """A copy with a plant of its own that continues from here with other keys of the scenario."""
+    def copy_with(self, changes: Mapping[str, object]) -> LiveLoop:
+        """A copy with another plant, which continues from here with other keys of the scenario."""
         other = LiveLoop(self.scenario)
         other._loop.take_over(self._loop)
         other._initial, other.reference = self._initial, deepcopy(self.reference)
@@ -154,8 +153,8 @@ class LiveLoop:
         signal = self._loop.parts.logged.get(name)
         return self._loop.runner.signal(signal).copy() if isinstance(signal, str) else signal
 
-    def _record_push(self, wrench: np.ndarray, duration: float) -> dict[str, Any]:
-        self.record.pushes.append({"wrench": wrench.tolist(), "time": self.time, "until": self.time + duration})
+    def _record_push(self, wrench: np.ndarray, duration: float) -> Push:
+        self.record.pushes.append(Push(wrench.tolist(), self.time, self.time + duration))
         return self.record.pushes[-1]
 
     def _record_pull(self) -> None:
@@ -163,10 +162,10 @@ class LiveLoop:
         wrench = np.zeros(6) if self.spring is None else self.spring.wrench(self._loop.pose)
         if (before := self._pulled) is not None:
             if self.spring is not None:
-                changed = float(np.linalg.norm(wrench - before["wrench"]))
+                changed = float(np.linalg.norm(wrench - before.wrench))
                 if changed <= PULL_RESOLUTION * self.spring.largest:
                     return
-            before["until"] = self.time
+            before.until = self.time
         self._pulled = None if self.spring is None else self._record_push(wrench, math.inf)
 
     def _wanted(self, step: int, ahead: float = 0.0) -> np.ndarray:
@@ -193,6 +192,6 @@ class LiveLoop:
         return SteppedLoop(scenario, plant, sources)
 
 
-def _plant_keys(scenario: Scenario) -> tuple[Any, ...]:
-    """Keys that make the plant."""
+def _plant_keys(scenario: Scenario) -> tuple[object, ...]:
+    """Keys on which the plant depends."""
     return scenario.robot, scenario.plant, scenario.gravity

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError, one_line
-from stewart_drake.live.session import SLICE, PageSession, as_six, drawn
+from stewart_drake.live.session import SLICE, Command, PageRow, PageSession, as_six, drawn
 from stewart_drake.live.steering import HandReference, nearest_allowed
 from stewart_drake.logs.log import MAX_ROWS
 from stewart_drake.machines.machine import Machine
@@ -20,14 +18,14 @@ from stewart_drake.runs.drive import Drive, Start, as_logged
 from stewart_drake.scenario.scenario import Scenario
 
 BANDWIDTH = 3.0  # [rad/s] of the filter behind the sliders: a move takes about three seconds.
-ROWS_IN_MEMORY = 1000
+ROWS_IN_MEMORY = 1000  # Rows of the drive.
 LAST_ROW = 0.5  # [s] for pages to read the last row.
 
 
 class MachineSession(PageSession):
     """Drives a connected machine until it is stopped; publishes rows from another thread.
 
-    The motion of the scenario, about a pose set by hand, ends after the scenario's duration: no more was checked.
+    The motion of the scenario, about a pose set by hand, ends after the scenario's duration, which is the checked part.
     """
 
     def __init__(self, scenario: Scenario, machine: Machine, start: Start) -> None:
@@ -35,11 +33,9 @@ class MachineSession(PageSession):
         self.scenario = as_logged(scenario)
         self._hand = HandReference(scenario.reference, BANDWIDTH)
         self._motion = PacedMotion(self._hand, start.pose, start.motion.approach)
-        own = start._replace(motion=self._motion, duration=min(MAX_ROWS * scenario.reading_period, 1e6))
-        self._drive, self._motors = (
-            Drive(scenario, machine, own, max_rows=ROWS_IN_MEMORY),
-            scenario.controller_model.motors,
-        )
+        endless = start._replace(motion=self._motion, duration=min(MAX_ROWS * scenario.reading_period, 1e6))
+        self._drive = Drive(scenario, machine, endless, max_rows=ROWS_IN_MEMORY)
+        self._motors = scenario.controller_model.motors
         self._pose, self._ended = start.pose, ""
         self._do = {"aim": self._aim, "move": self._move, "stop": lambda _: self._drive.stop()}
         self.row()  # Compiles.
@@ -51,54 +47,54 @@ class MachineSession(PageSession):
 
     def run(self) -> RunFailure | KeyboardInterrupt | None:
         """Runs until Ctrl-C, a stop on the page, or the end of the `Drive`; returns the reason."""
-        over = threading.Event()
-        shown = threading.Thread(target=self._show, args=(over,), daemon=True)
-        shown.start()
+        ended = threading.Event()
+        display = threading.Thread(target=self._show, args=(ended,), daemon=True)
+        display.start()
         try:
-            why = self._drive.go(self._advance)
+            reason = self._drive.go(self._advance)
         finally:
-            over.set()
-            shown.join()
-        self._ended = one_line(why) if isinstance(why, RunFailure) else "stopped"
+            ended.set()
+            display.join()
+        self._ended = one_line(reason) if isinstance(reason, RunFailure) else "stopped"
         self.publish(self.row())
         time.sleep(LAST_ROW)
-        return why
+        return reason
 
     def _advance(self, now: float) -> None:
-        own = self._motion.motion_time(now)
-        self._hand.advance(own)
-        if own > self.scenario.duration - RAMP:
+        elapsed = self._motion.motion_time(now)
+        self._hand.advance(elapsed)
+        if elapsed > self.scenario.duration - RAMP:
             self._hand.share.target = np.zeros(1)
 
-    def _show(self, over: threading.Event) -> None:
-        while not over.wait(SLICE):
+    def _show(self, ended: threading.Event) -> None:
+        while not ended.wait(SLICE):
             try:
                 self.obey()
                 self._hand.govern(self.scenario, self._motion.motion_time(self._drive.time))
                 self.publish(self.row())
-            except Exception as error:  # Without a picture the machine can still be stopped.
+            except Exception as error:  # The machine can still be stopped without the display.
                 self.message = one_line(error)
 
-    def _aim(self, command: Mapping[str, Any]) -> None:
+    def _aim(self, command: Command) -> None:
         reached = self._hand.aim(self.scenario, as_six(command["pose"]))
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
-    def _move(self, command: Mapping[str, Any]) -> None:
+    def _move(self, command: Command) -> None:
         on, reference, scenario = bool(command["on"]), self._hand, self.scenario
         if on and self._motion.motion_time(self._drive.time) > scenario.duration - 2.0 * RAMP:
             raise ConfigurationError("motion", "on", f"off after the scenario's duration, {scenario.duration:g} s")
         if on:
             # The motion may be infeasible about the present pose.
-            of = scenario.robot, scenario.limits, self.home, reference.goal, scenario.gravity
-            if limit := nearest_allowed(*of, reference.excursions(scenario.duration, on=True)).limit:
+            setup = scenario.robot, scenario.limits, self.home, reference.goal, scenario.gravity
+            if limit := nearest_allowed(*setup, reference.excursions(scenario.duration, on=True)).limit:
                 raise ConfigurationError("motion", "on", f"off here: {limit}")
         reference.share.target = np.array([float(on)])
 
-    def row(self) -> dict[str, Any]:
+    def row(self) -> PageRow:
         """State for the page at the latest tick."""
         drive, robot, target = self._drive, self.scenario.robot, self._hand.goal
-        row = {
+        row: PageRow = {
             "session": self.name,
             "obeyed": self._obeyed,
             "time": drive.time,
@@ -113,8 +109,8 @@ class MachineSession(PageSession):
         tick = drive.latest
         try:
             self._pose = forward_kinematics(robot, tick.angles, self._pose)
-            wanted = inverse_kinematics(robot, tick.reference)
+            angles = inverse_kinematics(robot, tick.reference)
         except StewartDrakeError as error:
             return row | {"message": f"no picture: {one_line(error)}"}
-        row |= drawn(robot, tick.reference, (self._pose, tick.angles), (tick.reference, wanted))
+        row |= drawn(robot, tick.reference, (self._pose, tick.angles), (tick.reference, angles))
         return row | {"torque": tick.sent if self._motors.by_torque else None}

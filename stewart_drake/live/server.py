@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
-from typing import Any
 
 from stewart_drake.base.errors import StewartDrakeError
 from stewart_drake.live.session import PageSession
@@ -31,7 +30,7 @@ class LiveServer:
     `about` describes the robot for the page; it is sent once.
     """
 
-    def __init__(self, session: PageSession, about: Mapping[str, Any], port: int | None = None) -> None:
+    def __init__(self, session: PageSession, about: Mapping[str, object], port: int | None = None) -> None:
         handler = type("Handler", (_Handler,), {"session": session, "about": about})
         self._server = _bind(handler, PORTS if port is None else range(port, port + 1))
         self.url = f"http://localhost:{self._server.server_port}/"
@@ -47,11 +46,11 @@ class LiveServer:
 class _Server(ThreadingHTTPServer):
     daemon_threads, open, request_queue_size = True, True, 64
 
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
+    def __init__(self, address: tuple[str, int], handler: type[BaseHTTPRequestHandler]) -> None:
+        super().__init__(address, handler)
         self.pages = threading.Semaphore(MAX_PAGES)
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
+    def handle_error(self, request: socket.socket | tuple[bytes, socket.socket], client_address: object) -> None:
         """Ignores connections that were closed or timed out."""
         if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
             super().handle_error(request, client_address)
@@ -69,7 +68,7 @@ def _bind(handler: type[BaseHTTPRequestHandler], ports: range) -> _Server:
 
 class _Handler(BaseHTTPRequestHandler):
     session: PageSession
-    about: Mapping[str, Any]
+    about: Mapping[str, object]
     server: _Server
     timeout = TIMEOUT
 
@@ -120,7 +119,7 @@ class _Handler(BaseHTTPRequestHandler):
             else:
                 self._answer(json.dumps({"number": number}).encode(), "application/json")
 
-    def log_message(self, *_: Any) -> None:
+    def log_message(self, *_: object) -> None:
         """Logs nothing."""
 
     def end_headers(self) -> None:

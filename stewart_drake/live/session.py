@@ -38,7 +38,9 @@ from stewart_drake.scenario.scenario import Scenario
 
 SLICE = 0.02  # [s] of simulated time between two rows; commands are handled in between.
 MAX_LATENESS = 0.5  # [s] A loop that is later does not catch up: it then runs slower than real time.
-CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
+Command = Mapping[str, Any]  # From a page, as JSON; `do` is its name.
+PageRow = dict[str, object]  # Values for a page, by name.
+CONTROLLERS: Mapping[str, Mapping[str, object]] = {
     "as in the scenario": {},
     "LQI, exact model": {
         "controller": "lqi",
@@ -50,7 +52,7 @@ CONTROLLERS: Mapping[str, Mapping[str, Any]] = {
 }
 """Controllers of the panel: name -> scenario key -> value."""
 LARGEST = 1e6  # Largest number that a page may send.
-ROWS_KEPT = 50  # A page that is later misses rows.
+ROWS_KEPT = 50  # A page that is further behind misses rows.
 COMMANDS_KEPT = 200  # Commands that may wait for the loop.
 
 
@@ -59,14 +61,14 @@ class PageSession:
 
     def __init__(self) -> None:
         self.name, self.message = secrets.token_hex(4), ""
-        self._commands: queue.Queue[tuple[int, Any]] = queue.Queue(COMMANDS_KEPT)
+        self._commands: queue.Queue[tuple[int, Command]] = queue.Queue(COMMANDS_KEPT)
         self._received = self._obeyed = 0
         self._rows: deque[str] = deque(maxlen=ROWS_KEPT)
         self._published, self._news, self._receiving = 0, threading.Condition(), threading.Lock()
         # A page cannot name keys of the scenario, and so no code, file or other robot.
-        self._do: Mapping[str, Callable[[Mapping[str, Any]], Any]] = {}
+        self._do: Mapping[str, Callable[[Command], object]] = {}
 
-    def put(self, command: Any) -> int:
+    def put(self, command: Command) -> int:
         """Queues a command; returns its number, which rows repeat once it is done. Raises queue.Full."""
         with self._receiving:
             self._commands.put_nowait((self._received + 1, command))
@@ -85,7 +87,7 @@ class PageSession:
         while not self._commands.empty():
             self._obey(*self._commands.get())
 
-    def _obey(self, number: int, command: Any) -> None:
+    def _obey(self, number: int, command: Command) -> None:
         self.message, self._obeyed = "", number
         try:
             self._do[command["do"]](command)
@@ -94,7 +96,7 @@ class PageSession:
         except Exception as error:  # Whatever a page sends, the loop goes on.
             self.message = f"not understood: {one_line(error)}"
 
-    def publish(self, row: Mapping[str, Any]) -> None:
+    def publish(self, row: PageRow) -> None:
         """Publishes a row to the pages."""
         # Numbers that are not finite become null, as JSON has none.
         text = json.dumps(plain_json(row))
@@ -112,8 +114,8 @@ class LiveSession(PageSession):
         scenario = for_live_page(scenario)
         self.loop = LiveLoop(scenario)
         self.ghost: LiveLoop | None = None
-        self._ghosts, self.speed, self._test, self._initial = "", 1.0, "", scenario
-        self._knobs: tuple[Scenario | None, list[dict[str, Any]]] = (None, [])
+        self._ghost_name, self.speed, self._test, self._initial = "", 1.0, "", scenario
+        self._knobs: tuple[Scenario | None, list[PageRow]] = (None, [])
         self._scenario_choice = {
             key: value for key, value in scenario.to_dict().items() if key in ("controller", "tuner")
         }
@@ -156,32 +158,32 @@ class LiveSession(PageSession):
             self.publish(self.row())
             pace.wait()
 
-    def _aim(self, command: Mapping[str, Any]) -> None:
+    def _aim(self, command: Command) -> None:
         reached = self.loop.aim(as_six(command["pose"]))
         if self.ghost is not None:
             self.ghost.reference.goal = reached.pose
         if reached.limit:
             self.message = f"as far as it goes: {reached.limit}"
 
-    def _for_all(self, do: Callable[[LiveLoop], Any]) -> None:
+    def _for_all(self, do: Callable[[LiveLoop], object]) -> None:
         """Applies a function to the robot and, if there is one, to its ghost."""
         for loop in filter(None, (self.loop, self.ghost)):
             do(loop)
 
-    def _change(self, changes: Mapping[str, Any]) -> None:
+    def _change(self, changes: Mapping[str, object]) -> None:
         self._for_all(lambda loop: loop.change(changes))
 
-    def _push(self, command: Mapping[str, Any]) -> None:
+    def _push(self, command: Command) -> None:
         wrench, duration = as_six(command["wrench"]), _number(command["duration"])
         self._touch()
         self._for_all(lambda loop: loop.push(wrench, duration))
 
-    def _pull(self, command: Mapping[str, Any]) -> None:
+    def _pull(self, command: Command) -> None:
         """Pulls `point` (3,) [m] of the platform, in P, towards `place` (3,) [m] in B."""
         point, place = (_numbers(command[name], 3) for name in ("point", "place"))
         self._hold(spring(self.loop.scenario.robot, self.loop.scenario.gravity, point, place))
 
-    def _turn(self, command: Mapping[str, Any]) -> None:
+    def _turn(self, command: Command) -> None:
         """Turns by `turn` (3,) [rad], a rotation vector in B, from the orientation at the start of the pull."""
         scenario, before = self.loop.scenario, self.loop.spring
         held = before.held if isinstance(before, TurningSpring) else rotation_matrix(self.loop.pose[:3])
@@ -198,25 +200,25 @@ class LiveSession(PageSession):
             self._change({"safety.unexplained_torque": None})
             self.message = "a hand acts on it: safety.unexplained_torque is off until Reset"
 
-    def _release(self, _: Mapping[str, Any]) -> None:
+    def _release(self, _: Command) -> None:
         self._for_all(lambda loop: setattr(loop, "spring", None))
 
-    def _set_knob(self, command: Mapping[str, Any]) -> None:
+    def _set_knob(self, command: Command) -> None:
         """Sets a slider. Gains and model of the ghost stay."""
         sliders, key = {slider.key: slider for slider in sliders_of(self.loop.scenario, self._initial)}, command["key"]
         if (slider := sliders.get(key)) is None:
-            raise ConfigurationError("slider", key, f"one that there is now: {', '.join(sliders)}")
+            raise ConfigurationError("slider", key, f"one of {', '.join(sliders)}")
         change = changes_of_slider(self.loop.scenario, slider, _number(command["value"]))
         (self._change if slider.group == "Machine" else self.loop.change)(change)
 
-    def _add_ghost(self, command: Mapping[str, Any]) -> None:
+    def _add_ghost(self, command: Command) -> None:
         """Adds a second robot with another controller, in the state of the first, or removes it."""
         name = command["controller"]
-        self.ghost, self._ghosts = None, ""
+        self.ghost, self._ghost_name = None, ""
         if name is not None:
-            self.ghost, self._ghosts = self.loop.copy_with({**self._scenario_choice, **CONTROLLERS[name]}), name
+            self.ghost, self._ghost_name = self.loop.copy_with({**self._scenario_choice, **CONTROLLERS[name]}), name
 
-    def _begin_test(self, command: Mapping[str, Any]) -> None:
+    def _begin_test(self, command: Command) -> None:
         axis, robot = COORDINATES.index(command["axis"]), self.loop.scenario.robot
         size = 0.01 * (1.0 if axis < 3 else robot.characteristic_length)
         frequency = min(max(_number(command.get("frequency", 1.0)), 0.2), 20.0)
@@ -225,46 +227,44 @@ class LiveSession(PageSession):
         at = f", {frequency:g} Hz" if kind == "sine" else ""
         self._test = f"{kind} of {COORDINATES[axis]}{at}: under way"
 
-    def _one_tick(self, _: Mapping[str, Any]) -> None:
+    def _one_tick(self, _: Command) -> None:
         self.paused = True
         self._for_all(lambda loop: loop.advance(round(loop.scenario.controller.period / loop.scenario.plant.time_step)))
 
-    def _set_speed(self, command: Mapping[str, Any]) -> None:
+    def _set_speed(self, command: Command) -> None:
         self.speed = min(max(_number(command["value"]), 0.1), 2.0)
 
-    def _save(self, _: Mapping[str, Any]) -> None:
+    def _save(self, _: Command) -> None:
         scenario = self.loop.scenario.replace({"name": f"{self.loop.scenario.name}-by-hand"})
         with new_run_folder(scenario) as folder:
             self.loop.record.save(folder, scenario)
         self.message = f"saved in {folder}: log.csv, and scenario.yaml, with motion, pushes and the last settings"
 
-    def _freeze(self, command: Mapping[str, Any]) -> None:
+    def _freeze(self, command: Command) -> None:
         leg = _leg_key(command["leg"])
         self._change({"sensors.faults": [] if leg is None else [{"kind": "freeze", **leg}]})
 
-    def _choose(self, command: Mapping[str, Any]) -> None:
+    def _choose(self, command: Command) -> None:
         self.loop.change({**self._scenario_choice, **CONTROLLERS[command["name"]]})
         self._controller = command["name"]
 
-    def _pause(self, command: Mapping[str, Any]) -> None:
+    def _pause(self, command: Command) -> None:
         self.paused = bool(command["on"])
 
-    def _reset(self, _: Mapping[str, Any]) -> None:
+    def _reset(self, _: Command) -> None:
         self.loop.reset()
-        self.ghost, self._ghosts, self._test = None, "", ""
+        self.ghost, self._ghost_name, self._test = None, "", ""
         self._controller = next(iter(CONTROLLERS))
 
-    def _knob_rows(self) -> list[dict[str, Any]]:
+    def _knob_rows(self) -> list[PageRow]:
         scenario = self.loop.scenario
         if self._knobs[0] is not scenario:
             sliders = sliders_of(scenario, self._initial)
-            self._knobs = (
-                scenario,
-                [{**slider._asdict(), "value": slider_value(scenario, slider)} for slider in sliders],
-            )
+            rows: list[PageRow] = [{**item._asdict(), "value": slider_value(scenario, item)} for item in sliders]
+            self._knobs = scenario, rows
         return self._knobs[1]
 
-    def row(self) -> dict[str, Any]:
+    def row(self) -> PageRow:
         """State for the browser: robot, loop, and all settings of the panel."""
         loop, scenario = self.loop, self.loop.scenario
         robots = [(robot.pose, robot.crank_angles) for robot in (loop, self.ghost) if robot is not None]
@@ -277,7 +277,7 @@ class LiveSession(PageSession):
         if loop.test is not None and loop.test.result:
             self._test = loop.test.result
             if self.ghost is not None and self.ghost.test is not None and self.ghost.test.result:
-                self._test += f"; pale, {self._ghosts}: {self.ghost.test.result.partition(': ')[2]}"
+                self._test += f"; pale, {self._ghost_name}: {self.ghost.test.result.partition(': ')[2]}"
         safety = loop.logged("safety")
         frozen = [fault.leg for fault in scenario.sensors.faults if fault.kind == "freeze"]
         return {
@@ -299,7 +299,7 @@ class LiveSession(PageSession):
             "kappa": getattr(scenario.tuner, "kappa", None),
             "paused": self.paused,
             "speed": self.speed,
-            "ghost": self._ghosts,
+            "ghost": self._ghost_name,
             "beside": None if (pale := self.ghost) is None else _errors(pale.pose, pale.wanted) | {"ended": pale.ended},
             "pull": pull,
             "moment": moment,
@@ -310,7 +310,7 @@ class LiveSession(PageSession):
         }
 
 
-def drawn(robot: RobotParameters, wanted: np.ndarray, *robots: tuple[np.ndarray, np.ndarray]) -> dict[str, Any]:
+def drawn(robot: RobotParameters, wanted: np.ndarray, *robots: tuple[np.ndarray, np.ndarray]) -> PageRow:
     """Pose, errors and links of a robot by pose (6,) and crank angles (6,), and links of a second one."""
     links = [link_poses(robot, *state, wanted) if np.isfinite(state).all() else np.empty((0, 7)) for state in robots]
     # The disc of the reference is drawn once.

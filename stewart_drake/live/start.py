@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from stewart_drake.live.instrument import FORCE, largest
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.machine_session import MachineSession
 from stewart_drake.live.server import LiveServer
-from stewart_drake.live.session import CONTROLLERS, LiveSession
+from stewart_drake.live.session import CONTROLLERS, LiveSession, PageRow
 from stewart_drake.live.steering import REACH, nearest_allowed
 from stewart_drake.machines.machine import Machine
 from stewart_drake.runs.drive import Start
@@ -33,7 +31,7 @@ def start_live(scenario: Scenario, port: int | None = None) -> tuple[LiveSession
     return session, LiveServer(session, about, port)
 
 
-def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> dict[str, Any]:
+def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> PageRow:
     """Description of a robot for the page; sliders begin at `home` (6,)."""
     robot = scenario.robot
     return {
@@ -52,7 +50,7 @@ def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> di
 def start_machine(
     scenario: Scenario, machine: Machine, start: Start, url: str, port: int | None = None
 ) -> tuple[MachineSession, LiveServer]:
-    """The same for a connected machine that the page steers."""
+    """Session and server for a connected machine that the page steers."""
     session = MachineSession(scenario, machine, start)
     about = about_robot(session.scenario, session.home, ghost=True)
     about |= {"session": session.name, "machine": url, "controllers": []}
@@ -64,10 +62,9 @@ def _room(scenario: Scenario, home: np.ndarray) -> np.ndarray:
     room = np.zeros(6)
     for axis in range(6):
         for sign in (1.0, -1.0):
-            wanted = home.copy()
-            wanted[axis] += sign * REACH[axis]
-            end = nearest_allowed(
-                scenario.robot, scenario.limits, home, wanted, scenario.gravity, np.zeros((1, 6))
-            ).pose
-            room[axis] = max(room[axis], abs(end[axis] - home[axis]))
+            target = home.copy()
+            target[axis] += sign * REACH[axis]
+            setup = scenario.robot, scenario.limits, home, target, scenario.gravity
+            reached = nearest_allowed(*setup, np.zeros((1, 6))).pose
+            room[axis] = max(room[axis], abs(reached[axis] - home[axis]))
     return room

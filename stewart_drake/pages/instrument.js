@@ -124,7 +124,7 @@ class Knobs {
 
   make(knobs) {
     this.inputs.clear();
-    for (const group of ["Machine", "Gains", "Belief"]) document.getElementById(`knobs-${group}`).replaceChildren();
+    for (const group of ["Machine", "Gains", "Model"]) document.getElementById(`knobs-${group}`).replaceChildren();
     for (const { group, key, label, unit, low, high, logarithmic, whole } of knobs) {
       const line = document.createElement("label");
       line.className = "slider";

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from importlib.resources import files
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from ruamel.yaml import YAML
@@ -36,6 +36,7 @@ from stewart_drake.plotting.run_plots import plot_states, plot_torques
 from stewart_drake.plotting.style import chart
 from stewart_drake.references import SineReference, paper_reference
 from stewart_drake.scenario.scenario import Scenario
+from stewart_drake.studies.experiment import Figures
 from stewart_drake.training.paper_network import six
 
 CLAIMED = 45.0  # [%] improvement on average, of the later paper (doi 10.1177/10775463211019177).
@@ -46,6 +47,7 @@ MAIN, TUNER = "(37), (38)", "tuner"
 LIGHT, HEAVY = 0.02, 0.05  # [N m] dry friction of a motor.
 FIXED = {f"ratio {ratio:g}": ratio for ratio in RATIOS}
 Errors = Mapping[str, Mapping[str, float]]
+_Key = tuple[str, Any]  # Trajectory or name of a run in Fig. 7, and controller, friction, start or None.
 
 
 def unseen_trajectories() -> dict[str, tuple[SineReference, float]]:
@@ -72,8 +74,16 @@ def baselines(errors: Errors) -> dict[str, list[float]]:
     return fixed | {BEST_FIXED: fixed[best], MEAN_OF_NINE: mean_of_nine, ORACLE: table.min(axis=0).tolist()}
 
 
-def improvement(errors: Errors, baseline: Sequence[float]) -> dict[str, Any]:
-    """[%] reduction of the RMSE by the tuner against a baseline: by trajectory, mean, geometric mean."""
+class Improvement(TypedDict):
+    """Reduction of the RMSE [%]."""
+
+    each: list[float]  # By trajectory.
+    mean: float
+    typical: float  # Geometric mean.
+
+
+def improvement(errors: Errors, baseline: Sequence[float]) -> Improvement:
+    """Reduction of the RMSE by the tuner against a baseline."""
     share = np.array([row[TUNER] for row in errors.values()]) / baseline
     percent = 100.0 * (1.0 - share)
     typical = 100.0 * (1.0 - float(np.exp(np.mean(np.log(share)))))
@@ -96,7 +106,7 @@ def _controllers(study: Reproduction) -> dict[str, Scenario]:
 def reproduce(study: Reproduction) -> Result:
     base, network = study.base, load_network(study.tuner_file)
     trajectories, controllers = _trajectories(study), _controllers(study)
-    scenarios: dict[tuple[str, Any], Scenario] = {
+    scenarios: dict[_Key, Scenario] = {
         (name, who): scenario.replace({"reference": motion.to_dict(), "duration": duration})
         for name, (motion, duration) in trajectories.items()
         for who, scenario in controllers.items()
@@ -124,11 +134,11 @@ def reproduce(study: Reproduction) -> Result:
     answers = [_mean_ratio(log, network.weights(log["density"])) for log in fixed_logs.values()]
     slope = float(np.polyfit([np.log10(FIXED[who]) for _, who in fixed_logs], answers, 1)[0])
     figures = {key: _figures(log) for key, log in logs.items() if key[0] in fig7}
+    starts_of = {name: [figures[name, i] for i in range(len(offsets))] for name in nearby}
     numbers = {
         "fig7": {name: figures[name, None] for name in fig7},
         "nearby_starts": {
-            name: {key: [figures[name, i][key] for i in range(len(offsets))] for key in figures[name, 0]}
-            for name in nearby
+            name: {key: [row[key] for row in rows] for key in rows[0]} for name, rows in starts_of.items()
         },
         "pose_rmse_mm": {
             name: row | {MEAN_OF_NINE: against[MEAN_OF_NINE][i], ORACLE: against[ORACLE][i]}
@@ -136,7 +146,7 @@ def reproduce(study: Reproduction) -> Result:
         },
         "improvement_percent": gains,
     }
-    # Without gravity the loop is chaotic: the worst of the starts.
+    # Without gravity the loop is chaotic, so this is the worst of the starts.
     starts = [(f"{other}, tuner", i) for i in (None, *range(len(offsets)))]
     swing = max(integral_share(logs[key]) for key in starts)
     grown = max(figures[key]["growth"] or np.inf for key in starts)
@@ -150,14 +160,17 @@ def reproduce(study: Reproduction) -> Result:
     means["the worst baseline"] = max(gain["mean"] for gain in gains.values())
     paper = f"{CLAIMED:g} %"
     claims += [Claim(f"later paper: improvement on {who}", paper, x, "%", x >= CLAIMED) for who, x in means.items()]
+    return Result(numbers, claims, _pictures(logs[MAIN, TUNER], errors))
+
+
+def _pictures(log: SimulationLog, errors: Errors) -> Figures:
     curves = {who: ([row[who] for row in errors.values()], list(errors)) for who in (*FIXED, TUNER)}
     title = "The tuner among the five controllers"
-    pictures = {
-        "fig7_states": partial(plot_states, logs[MAIN, TUNER]),
-        "fig7_torques": partial(plot_torques, logs[MAIN, TUNER]),
+    return {
+        "fig7_states": partial(plot_states, log),
+        "fig7_torques": partial(plot_torques, log),
         "ranking": partial(chart, title, "pose RMSE over the second half [mm]", "", curves, "o", "x", 5.0),
     }
-    return Result(numbers, claims, pictures)
 
 
 def _figures(log: SimulationLog) -> dict[str, float | None]:
@@ -166,7 +179,7 @@ def _figures(log: SimulationLog) -> dict[str, float | None]:
     return {**sizes, "integral_at_5s": largest_integral(log), "growth": growth(log)}
 
 
-def _friction_claims(logs: Mapping[Any, SimulationLog], duration: float) -> list[Claim]:
+def _friction_claims(logs: Mapping[_Key, SimulationLog], duration: float) -> list[Claim]:
     """Claims on the paper's motion with dry friction in the motors."""
     roll, light = (run_metrics(logs[MAIN, who])["rmse_deg"][0] for who in (TUNER, LIGHT))
     heavy, whole = logs[MAIN, HEAVY], f"{duration:g} s"

@@ -13,7 +13,7 @@ from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -41,10 +41,10 @@ SEED = 20_210_601
 PAIRS = tuple(itertools.product(OMEGAS, OMEGAS))
 RATIOS = (0.01, 0.1, 1.0, 10.0, 100.0)
 ANNOUNCED = Region("announced", (math.pi / 6.0,) * 3 + (0.3,) * 3, "30 deg and 300 mm, as section III.D announces")
-WIDE = Region("wide", (*map(math.radians, (70.0, 70.0, 80.0)), 0.2, 0.2, 0.11), "as far as each coordinate goes alone")
+WIDE = Region("wide", (*map(math.radians, (70.0, 70.0, 80.0)), 0.2, 0.2, 0.11), "as far as single coordinates go")
 
 ROUNDING = 1e-10
-"""Numbers below this, other than counts, are rounding errors, which depend on the processor; their bound is shown."""
+"""Numbers below this, except counts, are rounding errors, which depend on the processor; this bound is shown."""
 
 
 class Claim(NamedTuple):
@@ -58,7 +58,7 @@ class Claim(NamedTuple):
 
 
 class Result(NamedTuple):
-    numbers: dict[str, Any]
+    numbers: Mapping[str, object]
     claims: list[Claim]
     figures: Mapping[str, Callable[[], Figure]] = {}
 
@@ -98,7 +98,7 @@ def reproduce(
 ) -> dict[str, Result]:
     """All claims by module; with `out` numbers.json, the network and the figures go there."""
     results: dict[str, Result] = {}
-    import_torch()  # Fails now if it is missing, and not after minutes.
+    import_torch()  # If torch is missing, fails here and not after minutes.
     if out is not None:
         prepare_folder(out)
     with TemporaryDirectory() as scratch:

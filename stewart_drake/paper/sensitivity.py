@@ -81,7 +81,9 @@ def reproduce(study: Reproduction) -> Result:
         for ratio in ratios
     }
     controllers = {"tuner": study.under_tuner(fixed["ratio 1"]), **fixed}
-    scenarios: dict[Any, Scenario] = {(name, None): scenario for name, scenario in controllers.items()}
+    scenarios: dict[tuple[str, tuple[str, str] | None], Scenario] = {
+        (name, None): scenario for name, scenario in controllers.items()
+    }
     with TemporaryDirectory() as folder:
         for name, scenario in controllers.items():
             for change, keys in changes(scenario, Path(folder)).items():

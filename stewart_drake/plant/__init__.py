@@ -1,1 +1,1 @@
-"""The simulated mechanism: Drake's MultibodyPlant from a generated SDF, closed form, MuJoCo on MJCF, or your own."""
+"""The simulated mechanism: Drake's MultibodyPlant from a generated SDF, closed form, MuJoCo on MJCF, or a user's."""

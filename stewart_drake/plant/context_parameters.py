@@ -25,19 +25,20 @@ def _counts(kind: np.dtype, path: tuple[str, ...] = ()) -> Iterator[tuple[str, .
         yield from _counts(kind[name].base, (*path, name))
 
 
-def _field(record: Any, path: tuple[str, ...]) -> np.ndarray:
-    for name in path:
-        record = record[name]
-    return np.asarray(record)
+def _field(values: Mapping[str, np.ndarray] | np.ndarray, path: tuple[str, ...]) -> np.ndarray:
+    found = values[path[0]]
+    for name in path[1:]:
+        found = found[name]
+    return np.asarray(found)
 
 
 class WithParameters:
     """Base of a LeafSystem whose numeric parameters are records and arrays of float64."""
 
     def declare_parameters(self: Any, values: Mapping[str, np.ndarray], vector: Any = BasicVector) -> Any:
-        """Declares parameters with their defaults as one numeric parameter of Drake's, a `vector` of its scalar type.
+        """Declares parameters with their defaults as one numeric parameter of Drake, a `vector` of its scalar type.
 
-        Returns a record () with all of them, which `read_parameters` fills.
+        Returns a structured array () with all of them, which `read_parameters` fills.
         """
         kind = np.dtype([(name, value.dtype, value.shape) for name, value in values.items()])
         self._parameters_read = np.zeros((), kind)

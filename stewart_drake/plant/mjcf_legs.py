@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from itertools import permutations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -31,7 +31,7 @@ class Legs(NamedTuple):
 
     motors: list[int]  # Joints.
     cranks: list[int]  # Bodies.
-    rods: list[list[int]]  # Bodies of each leg between crank and platform.
+    rods: list[list[int]]  # Bodies between crank and platform, by leg.
     platform: int  # Body.
     closures: list[int]  # Equalities.
     centres: np.ndarray  # (6, 3) [m] centres of the circles on which the cranks' tips move.
@@ -66,27 +66,45 @@ def rigid_roots(model: mujoco.MjModel) -> np.ndarray:
     return roots
 
 
+_Ends = list[tuple[int, np.ndarray]]  # Bodies at both ends of a joint, with positions (3,) [m] on them.
+
+
+class _PassiveJoint(NamedTuple):
+    """A passive joint, seen from one of its two bodies."""
+
+    number: int
+    equality: int | None  # None for a joint of the tree.
+    near: np.ndarray  # (3,) [m] position on this body.
+    other: int  # The other body.
+    far: np.ndarray  # (3,) [m] position on the other body.
+
+
+class _FoundLeg(NamedTuple):
+    crank: int  # Body.
+    between: list[int]  # Bodies from platform to crank.
+    tip: np.ndarray  # (3,) [m] of the crank.
+    seat: np.ndarray  # (3,) [m] on the platform.
+    closures: list[int | None]  # Equalities of its joints.
+    length: float  # [m] of the bodies between.
+
+
 def find_legs(model: mujoco.MjModel, motors: Collection[int]) -> Legs | int:
     """The six legs driven by `motors` (joints); if there are not six, the largest number of legs of a platform."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     root, driven = rigid_roots(model), {int(model.jnt_bodyid[joint]): joint for joint in motors}
-    # Body -> its passive joints, as tuples: number of the joint, its equality or None, position on this body, the other
-    # body, position on the other body.
-    leaving: dict[int, list[Any]] = {}
+    joints_of: dict[int, list[_PassiveJoint]] = {}
     for number, (equality, ends) in enumerate(_passive(model, data, driven)):
         for (body, near), (other, far) in (ends, ends[::-1]):
-            leaving.setdefault(int(root[body]), []).append((number, equality, near, int(root[other]), far))
+            joint = _PassiveJoint(number, equality, near, int(root[other]), far)
+            joints_of.setdefault(int(root[body]), []).append(joint)
 
-    def leg(first: Any) -> Any:
-        """Follows passive joints from a platform's joint to a crank; None if they do not lead to one.
-
-        Returns crank, bodies of the rod, tip of the crank, joint on the platform, equalities, length of the rod.
-        """
+    def leg(first: _PassiveJoint) -> _FoundLeg | None:
+        """Follows passive joints from a platform's joint to a crank; None if they do not lead to one."""
         number, equality, seat, body, place = first
-        between, closures, length = [], [equality], 0.0
+        between, closures, length = list[int](), [equality], 0.0
         while body not in driven:
-            onward = [joint for joint in leaving[body] if joint[0] != number]
+            onward = [joint for joint in joints_of[body] if joint.number != number]
             if len(onward) != 1 or body in between or body == 0:
                 return None
             between.append(body)
@@ -94,12 +112,12 @@ def find_legs(model: mujoco.MjModel, motors: Collection[int]) -> Legs | int:
             length += float(np.linalg.norm(near - place))
             closures.append(equality)
             place = far
-        return (body, between, place, seat, closures, length) if between else None
+        return _FoundLeg(body, between, place, seat, closures, length) if between else None
 
-    legs_of = {body: list(filter(None, map(leg, first))) for body, first in leaving.items() if body not in driven}
+    legs_of = {body: list(filter(None, map(leg, first))) for body, first in joints_of.items() if body not in driven}
     platform = max(legs_of, key=lambda body: len(legs_of[body]), default=0)
     legs = legs_of.get(platform, [])
-    if len(legs) != LEG_COUNT or len({crank for crank, *_ in legs}) != LEG_COUNT:
+    if len(legs) != LEG_COUNT or len({leg.crank for leg in legs}) != LEG_COUNT:
         return len(legs)
     cranks, rods, tips, seats, closures, lengths = zip(*legs, strict=True)
     joints = [driven[crank] for crank in cranks]
@@ -110,8 +128,8 @@ def find_legs(model: mujoco.MjModel, motors: Collection[int]) -> Legs | int:
     return Legs(joints, list(cranks), list(rods), platform, equalities, *points)
 
 
-def _passive(model: mujoco.MjModel, data: mujoco.MjData, driven: Collection[int]) -> Iterator[tuple[int | None, Any]]:
-    """Passive joints: the equality, or None for a joint of the tree; body and position (3,) [m] of both ends."""
+def _passive(model: mujoco.MjModel, data: mujoco.MjData, driven: Collection[int]) -> Iterator[tuple[int | None, _Ends]]:
+    """Passive joints: the equality, or None in the tree; both ends, body and position (3,) [m]."""
     # MuJoCo's enums compare unequal to numpy's integers, so they are converted.
     turning = int(mujoco.mjtJoint.mjJNT_BALL), int(mujoco.mjtJoint.mjJNT_HINGE)
     for body in range(1, model.nbody):

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -231,8 +231,8 @@ def render(template: str, **values: object) -> str:
 def _environment() -> Environment:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    form: Any = {"trim_blocks": True, "keep_trailing_newline": True}
-    environment = Environment(loader=PackageLoader("stewart_drake.plant"), undefined=StrictUndefined, **form)
+    loader = PackageLoader("stewart_drake.plant")
+    environment = Environment(loader=loader, undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True)
     environment.globals |= {
         "exact": _exact,
         "short": _short,

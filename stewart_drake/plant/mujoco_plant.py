@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import importlib.util
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_rate_to_twist, rotation_matrix
 from stewart_drake.plant.model_files import home_frames, mjcf_text
 from stewart_drake.plant.mujoco_laws import ModelFrames, apply_forces, measure
-from stewart_drake.plant.plant_options import MechanismOptions, foreign_state
+from stewart_drake.plant.plant_options import MechanismOptions, Simulated, foreign_state
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import Moderate
 from stewart_drake.robot.robot_files import robot_model
@@ -42,7 +42,7 @@ _KEY = "plant.model_file"
 
 
 class MujocoOptions(MechanismOptions):
-    """MuJoCo on an MJCF file: the robot's own, one that its maker ships, or yours; extra `mujoco`.
+    """MuJoCo on an MJCF file, of `robot`, of its maker, or of yours; extra `mujoco`.
 
     Legs and frames are found in the model and must match those of `robot` within 1 mm. Masses are those of the model.
     So are friction, damping, armature and joint limits, unless a key changes them.
@@ -97,7 +97,7 @@ class MujocoOptions(MechanismOptions):
     def make(self, robot: RobotParameters, gravity: float) -> MujocoPlant:
         return MujocoPlant(robot, self, gravity)
 
-    def simulated(self, robot: RobotParameters) -> tuple[dict[str, Any], list[tuple[str, Any, str]]]:
+    def simulated(self, robot: RobotParameters) -> Simulated:
         if self.model_file is None:
             return {}, []
         file = _File(self)
@@ -196,7 +196,7 @@ class _File:
         used = {geom.meshname for geom in spec.geoms}
         self._delete(spec.materials, spec.textures, [mesh for mesh in spec.meshes if mesh.name not in used])
 
-    def _delete(self, *groups: Any) -> None:
+    def _delete(self, *groups: Iterable[object]) -> None:
         for element in [element for group in groups for element in group]:
             self.spec.delete(element)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -255,36 +255,18 @@ def add_robot(
         DrakeCheckError: Drake refuses the model.
     """
     options, base = DrakeOptions() if options is None else options, RigidTransform() if base is None else base
-    if parser is not None and parser.plant() is not plant:
-        raise ConfigurationError("parser", parser, "a parser of this plant")
-    if not np.isfinite(base.GetAsMatrix34()).all():
-        raise ConfigurationError("base", base, "a place that is finite")
-    if plant.is_finalized():
-        raise ConfigurationError("plant", "a finalised one", "one before Finalize()")
-    if plant.time_step() <= 0.0:
-        raise ConfigurationError("plant", "a continuous one", "a discrete one, which ball constraints need")
-    if plant.HasModelInstanceNamed(model_instance):
-        raise ConfigurationError("model_instance", model_instance, "a name that the plant does not have yet")
+    _check_new_robot(plant, model_instance, base, parser)
     if plant.time_step() != on_grid(options.time_step):
         options = DrakeOptions.from_dict({**options.to_dict(), "time_step": decimal(plant.time_step())})
     limit = platform_damping_limit(robot, options)
     if options.platform_joint_damping > limit:
-        raise ConfigurationError(
-            "plant.platform_joint_damping",
-            options.platform_joint_damping,
-            f"at most {limit:.3g} N m s/rad for this robot at a time step of {options.time_step:g} s",
-        )
+        allowed = f"at most {limit:.3g} N m s/rad for this robot at a time step of {options.time_step:g} s"
+        raise ConfigurationError("plant.platform_joint_damping", options.platform_joint_damping, allowed)
     with drake_guard("adding the robot"):
         others = set(plant.GetConstraintIds())
         at = None if base.IsExactlyIdentity() else (base.translation(), base.rotation().ToRollPitchYaw().vector())
-        text = sdf_text(
-            robot,
-            rod_joint=options.rod_joint,
-            collision=options.collision,
-            joint_swing=None,
-            name=model_instance,
-            base=at,
-        )
+        joint, collides = options.rod_joint, options.collision
+        text = sdf_text(robot, rod_joint=joint, collision=collides, joint_swing=None, name=model_instance, base=at)
         (instance,) = (Parser(plant) if parser is None else parser).AddModelsFromString(text, "sdf")
         added = StewartRobot(plant, instance, robot, options, base)
         # The coordinates of this joint are pose and twist in B, wherever the base is.
@@ -300,12 +282,31 @@ def add_robot(
             closures = [closure for closure in plant.GetConstraintIds() if closure not in others]
             _break(plant, closures[options.broken_rod.leg], options.break_step * plant.time_step())
         if options.payload_mass > 0.0:
-            # A separate body, so that the robot's numbers stay those of `RobotParameters` and the SDF.
-            point = SpatialInertia(options.payload_mass, np.zeros(3), UnitInertia(0.0, 0.0, 0.0))
-            payload = plant.AddRigidBody("payload", instance, point)
-            place = RigidTransform(np.array(options.payload_position))
-            plant.WeldFrames(added.frame("platform"), payload.body_frame(), place)
+            _add_payload(added)
     return added
+
+
+def _check_new_robot(plant: MultibodyPlant, name: str, base: RigidTransform, parser: Parser | None) -> None:
+    """Refuses a plant that cannot take another robot, and a wrong parser."""
+    if parser is not None and parser.plant() is not plant:
+        raise ConfigurationError("parser", parser, "a parser of this plant")
+    if not np.isfinite(base.GetAsMatrix34()).all():
+        raise ConfigurationError("base", base, "a place that is finite")
+    if plant.is_finalized():
+        raise ConfigurationError("plant", "a finalised one", "one before Finalize()")
+    if plant.time_step() <= 0.0:
+        raise ConfigurationError("plant", "a continuous one", "a discrete one, which ball constraints need")
+    if plant.HasModelInstanceNamed(name):
+        raise ConfigurationError("model_instance", name, "a name that the plant does not have yet")
+
+
+def _add_payload(added: StewartRobot) -> None:
+    """Adds the payload as a separate body, so that the platform keeps the mass of `RobotParameters` and the SDF."""
+    plant, options = added.plant, added.options
+    point = SpatialInertia(options.payload_mass, np.zeros(3), UnitInertia(0.0, 0.0, 0.0))
+    payload = plant.AddRigidBody("payload", added.instance, point)
+    place = RigidTransform(np.array(options.payload_position))
+    plant.WeldFrames(added.frame("platform"), payload.body_frame(), place)
 
 
 @checked
@@ -382,10 +383,10 @@ def build_plant(
 def _break(plant: MultibodyPlant, closure: MultibodyConstraintId, time: float) -> None:
     """Disconnects a rod from the platform at a time [s], in every Context that reaches it or begins later."""
     # An event that refers to the plant would keep it alive.
-    reference: Any = weakref.ref(plant)
+    reference = weakref.ref(plant)
 
     def set_closed(context: Context, _: State) -> None:
-        reference().SetConstraintActiveStatus(context, closure, context.get_time() < time)
+        cast(MultibodyPlant, reference()).SetConstraintActiveStatus(context, closure, context.get_time() < time)
 
     plant.DeclareInitializationUnrestrictedUpdateEvent(set_closed)
     plant.DeclarePeriodicUnrestrictedUpdateEvent(_ONCE, time, set_closed)
@@ -393,10 +394,10 @@ def _break(plant: MultibodyPlant, closure: MultibodyConstraintId, time: float) -
 
 def _ask_for_friction(plant: MultibodyPlant, instance: ModelInstanceIndex) -> None:
     """Raises at `Simulator.Initialize` if motors with stiction are not connected: Drake would let them slide."""
-    reference: Any = weakref.ref(plant)
+    reference = weakref.ref(plant)
 
     def ask(context: Context, _: State) -> None:
-        if not reference().get_desired_state_input_port(instance).HasValue(context):
+        if not cast(MultibodyPlant, reference()).get_desired_state_input_port(instance).HasValue(context):
             raise ConfigurationError("friction", "motors that stick", "a call of connect_friction(builder) first")
 
     plant.DeclareInitializationUnrestrictedUpdateEvent(ask)

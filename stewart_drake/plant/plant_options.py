@@ -1,4 +1,4 @@
-"""Plants as a loop sees them, options of Drake's plant, and users' plants; this file does not import Drake."""
+"""Interface and options of plants, and users' plants; this file does not import Drake."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal, Protocol, Self
 
 import numpy as np
 from pydantic import Field
@@ -34,16 +34,16 @@ class Plant(Protocol):
     """A simulated robot. All methods but `save` return the measurement (24,), see `POSE`, valid until the next call."""
 
     def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
-        """Begins at a pose (6,) [rad, m] with a rate (6,) [rad/s, m/s]."""
+        """Starts at a pose (6,) [rad, m] with a rate (6,) [rad/s, m/s]."""
 
     def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         """Moves by one step under torques (6,) [N m] of the motors and a wrench (6,) [N m, N] about P."""
 
     def save(self) -> Any:
-        """A copy of its state, for `restore` of a plant of the same kind."""
+        """A copy of the state, for `restore` of a plant of the same kind."""
 
     def restore(self, state: Any) -> np.ndarray:
-        """Sets a state that a plant of this kind saved; ConfigurationError for another one."""
+        """Sets a saved state; raises a ConfigurationError for one of another kind of plant."""
 
 
 def foreign_state(state: object, expected: str) -> ConfigurationError:
@@ -51,13 +51,16 @@ def foreign_state(state: object, expected: str) -> ConfigurationError:
     return ConfigurationError("state of a plant", getattr(state, "shape", type(state).__name__), f"that of {expected}")
 
 
+Simulated = tuple[dict[str, object], list[tuple[str, object, str]]]  # See `PlantOptions.simulated`.
+
+
 class PlantOptions(Section, ABC, key="plant"):
-    """Base of the options of plants: all that is asked of any kind."""
+    """Base of the options of plants."""
 
     in_diagram: ClassVar[bool] = False
-    """Whether it runs in a Diagram by Drake's Simulator, or is stepped by the loop as a `Plant`."""
+    """Whether Drake's Simulator runs it in a Diagram; otherwise the loop steps it as a `Plant`."""
     compared_with: ClassVar[str | None] = None
-    """The kind that it replaces for speed; studies run one of their scenarios on that kind too."""
+    """The kind that it replaces for speed; studies repeat one of their runs with that kind."""
     joints_rub: ClassVar[bool] = False
     """Whether it can have friction in the rods' ball joints."""
     moved_keys: ClassVar[dict[str, str]] = {"engine": "plant.kind: drake, closed_form or module:Class"}
@@ -86,13 +89,9 @@ class PlantOptions(Section, ABC, key="plant"):
         """The robot with its payload as a part of the platform."""
         return laws.robot_record(robot)
 
-    def simulated(self, robot: RobotParameters) -> tuple[dict[str, Any], list[tuple[str, Any, str]]]:  # noqa: ARG002
-        """For reports: keys of `robot` with its own values, if it has them; further facts: name, value, unit."""
+    def simulated(self, robot: RobotParameters) -> Simulated:  # noqa: ARG002
+        """For reports: keys of `robot` for which the plant has other values; further facts: name, value, unit."""
         return {}, []
-
-    def braked(self, robot: RobotParameters) -> PlantOptions | None:  # noqa: ARG002
-        """The same with brakes that hold every crank with its motor's effort limit; None if not possible."""
-        return None
 
     @property
     def friction_options(self) -> FrictionOptions:
@@ -109,9 +108,9 @@ class MechanismOptions(PlantOptions):
     """Options of plants that simulate the robot's mechanism: friction of its motors, and a payload."""
 
     motor_damping: Moderate = 0.0
-    """[N m s/rad] viscous friction of each motor; implicit, stable at any step. Short for `friction.viscous`."""
+    """[N m s/rad] viscous friction of the motors; implicit, stable at any step. Short for `friction.viscous`."""
     motor_friction: Moderate = 0.0
-    """[N m] dry (Coulomb) friction of each motor, the same at rest and in motion. Short for `friction.coulomb`."""
+    """[N m] dry (Coulomb) friction of the motors, the same at rest and in motion. Short for `friction.coulomb`."""
     friction: FrictionOptions | None = None
     """Friction of the motors with stiction, motor by motor; null takes `motor_damping` and `motor_friction`."""
     payload_mass: Moderate = 0.0
@@ -124,7 +123,8 @@ class MechanismOptions(PlantOptions):
             if self.friction is not None and getattr(self, name) > 0.0:
                 raise ConfigurationError(name, getattr(self, name), "0, because `friction` is given and has this value")
 
-    def braked(self, robot: RobotParameters) -> PlantOptions:
+    def braked(self, robot: RobotParameters) -> Self:
+        """The same with brakes that hold the cranks with the motors' effort limits."""
         friction = FrictionOptions(coulomb=tuple(robot.effort_limits.tolist()))
         short = {name: self.__pydantic_fields__[name].default for name in ("motor_friction", "motor_damping")}
         return self.replace(**short, friction=friction)
@@ -161,7 +161,7 @@ class DrakeOptions(MechanismOptions):
     collision: Flag = False
     """Whether cranks, rods, platform and base collide; bodies connected by a joint never do."""
     universal_damping: Moderate = 0.0
-    """[N m s/rad] viscous friction about each axis of the joints between crank and rod; implicit."""
+    """[N m s/rad] viscous friction about the axes of the joints between crank and rod; implicit."""
     platform_joint_damping: Moderate = 0.0
     """[N m s/rad] viscous friction of the ball joints between rods and platform; explicit, see
     `platform_damping_limit`. It is isotropic only near home: at 45 deg of swing it is 0.6 to 3.4 times as large, by
@@ -193,11 +193,11 @@ def platform_damping_limit(robot: RobotParameters, options: DrakeOptions) -> flo
     return 1.0 / (options.time_step * fastest)
 
 
-# --- the user's own ---
+# --- users' plants ---
 
 
 class UserPlantOptions(UserMade, PlantOptions, key="plant"):  # type: ignore[misc]
-    """Your own plant: `initial(pose, pose_rate)` begins, `step(torque, wrench)` moves it by one time step.
+    """A user's plant: `initial(pose, pose_rate)` starts it, `step(torque, wrench)` moves it by one time step.
 
     Both return pose (6,) [rad, m] and pose rate (6,) [rad/s, m/s] of the platform; the motion of the cranks follows
     from the robot's geometry. They may also return the cranks' angles [rad] and rates [rad/s]. torque (6,) is that of
@@ -228,10 +228,10 @@ class _UserPlant:
     def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         return self._ask(self._plant.step, torque, wrench)
 
-    def save(self) -> Any:
+    def save(self) -> object:
         return type(self._plant), copy.deepcopy(vars(self._plant)), self._measured.copy()
 
-    def restore(self, state: Any) -> np.ndarray:
+    def restore(self, state: object) -> np.ndarray:
         if not isinstance(state, tuple) or state[0] is not type(self._plant):
             raise foreign_state(state, f"another {type(self._plant).__name__}")
         _, attributes, measured = copy.deepcopy(state)
@@ -239,9 +239,9 @@ class _UserPlant:
         self._measured[:] = measured
         return self._measured
 
-    def _ask(self, method: Callable[..., Any], *arguments: np.ndarray) -> np.ndarray:
+    def _ask(self, method: Callable[..., object], *arguments: np.ndarray) -> np.ndarray:
         with self._guard:
-            # Copies, which it may keep or change.
+            # Copies, which the method may keep or change.
             result = method(*(vector.copy() for vector in arguments))
         parts = [self._options.numbers(part) for part in result] if np.iterable(result) else []
         if [part.shape for part in parts] not in ([(6,)] * 2, [(6,)] * 4):

@@ -14,7 +14,7 @@ from stewart_drake.base.atomic_files import write_together
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
-from stewart_drake.cli.terminal import print_table, say, shown_compiling, tell
+from stewart_drake.cli.terminal import print_error, print_line, print_table, shown_compiling
 from stewart_drake.reachy.moves import Move, files_of, move_json, moves_of
 from stewart_drake.reachy.possible_moves import check_move, fix_move, motion_of, shaped_move
 from stewart_drake.robot.robot_files import load_robot
@@ -83,9 +83,9 @@ def check(source: str) -> None:
     print_table(f"{source} on {ROBOT}", rows, ("move", "can be done", *HEADER), numbers=(), data=data)
     _tell_notes(given)
     if wrong := sum(not can for can, _, _ in found.values()):
-        say(f"{wrong} of {len(rows)} cannot be done; try: stewart-drake moves fix {source}")
+        print_error(f"{wrong} of {len(rows)} cannot be done; try: stewart-drake moves fix {source}")
     if bad:
-        say(f"{len(bad)} of {len(rows)} are no moves: {', '.join(f'{name}.json' for name in bad)}")
+        print_error(f"{len(bad)} of {len(rows)} are no moves: {', '.join(f'{name}.json' for name in bad)}")
     if wrong or bad:
         sys.exit(opt.EXIT_BAD_INPUT)
 
@@ -113,7 +113,7 @@ def fix(source: str, out: Path, force: bool) -> None:
         _tell_notes({name: given[name] for name in fixed})
         _write(folder, {name: move for name, (move, _) in fixed.items()})
     for problem in bad.values():
-        say(str(problem))
+        print_error(str(problem))
     if bad:
         sys.exit(opt.EXIT_BAD_INPUT)
 
@@ -137,7 +137,7 @@ def export(
                 given[name], shares = shaped_move(scenario, move)
             _tell_notes({name: move})
             if less := int((shares < 1.0).sum()):
-                tell(f"{name}: {less} of {len(shares)} poses do not exist as the servos need them")
+                print_line(f"{name}: {less} of {len(shares)} poses do not exist as the servos need them")
     _write(folder, given)
 
 
@@ -145,7 +145,7 @@ def _tell_notes(given: dict[str, Move]) -> None:
     """Prints by how much the recorded rows were changed as they were read."""
     for name, move in given.items():
         if note := motion_of(move).note:
-            tell(f"{name}: {note}")
+            print_line(f"{name}: {note}")
 
 
 def _place(source: str, names: Iterable[str], out: Path, force: bool) -> Path:
@@ -162,4 +162,4 @@ def _place(source: str, names: Iterable[str], out: Path, force: bool) -> Path:
 
 def _write(folder: Path, given: dict[str, Move]) -> None:
     write_together({folder / f"{name}.json": move_json(move) for name, move in given.items()})
-    tell(f"{len(given)} moves in {folder}")
+    print_line(f"{len(given)} moves in {folder}")

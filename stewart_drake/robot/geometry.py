@@ -31,8 +31,7 @@ from stewart_drake.robot.leg import (
 if TYPE_CHECKING:
     from stewart_drake.robot.robot_parameters import RobotParameters
 
-_SLACK = 1e-6
-"""[rad] tolerance of the order of joints, for joints that coincide."""
+_SLACK = 1e-6  # [rad] Tolerance of the order of joints, for joints that coincide.
 
 
 def check_geometry(robot: RobotParameters) -> None:
@@ -94,8 +93,7 @@ def wrapped(angle: np.ndarray) -> np.ndarray:
 
 # --- from a table ---
 
-UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}
-"""[m] of a table's unit."""
+UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}  # [m] Units of a table.
 Unit = Literal["m", "mm", "cm", "in"]
 Cranks = Literal["outwards", "towards", "away", "tangential"]
 _POSITIONS = ("shaft_x", "shaft_y", "shaft_z", "joint_x", "joint_y", "joint_z")
@@ -107,18 +105,14 @@ _POLAR = {
     ("crank_deg",): ("crank_x", "crank_y", "crank_z"),
 }
 """Columns in polar coordinates about z -> the columns that they replace."""
-_PAIR_RATIO = 1.5
-"""[-] least distance of a shaft to the other shafts, over that to its partner, for clear pairs."""
-_SIDE = 0.05
-"""[-] least sine of the angle between a partner and the centre."""
-LEVEL_SPREAD = 0.01
-"""[-] of the rod: largest difference between the heights at which the legs' cranks are level."""
+_PAIR_RATIO = 1.5  # [-] Least distance of a shaft to the other shafts, over that to its partner, for clear pairs.
+_SIDE = 0.05  # [-] Least sine of the angle between a partner and the centre.
+LEVEL_SPREAD = 0.01  # [-] Largest difference of the heights at which cranks are level, over the rod's length.
 _ALL_LENGTHS = ("crank_length", "rod_length", "home_height", "link_radius", "characteristic_length")
 _LENGTHS: dict[str, Any] = {**dict.fromkeys(_ALL_LENGTHS, Size), "platform_center_of_mass": Signed3}
 _CHECKED = _LENGTHS | dict.fromkeys(("platform_mass", "rod_mass", "crank_mass"), Size)
 _MAX_BYTES = 1_000_000
-_LINK_RADIUS = 0.005 / 0.11
-"""Over the characteristic length, as in the paper's robot."""
+_LINK_RADIUS = 0.005 / 0.11  # [-] Over the characteristic length, as in the paper's robot.
 
 
 class FromTable(NamedTuple):
@@ -133,14 +127,14 @@ def from_table(table: str | Path | ArrayLike, unit: Unit, cranks: Cranks, parame
     """Parameters of a robot from a table of its legs.
 
     Columns of a CSV file, by name, in any order: shaft_x to shaft_z (in B) and joint_x to joint_z (in P), in place of x
-    and y also shaft_radius and shaft_deg, joint_radius and joint_deg; if need be crank_x to crank_z (where the crank
+    and y also shaft_radius and shaft_deg, joint_radius and joint_deg. Optional: crank_x to crank_z (where the crank
     points at theta = 0) or crank_deg, its angle seen from above, and up_x to up_z (at pi/2), crank_length, rod_length,
     branch, pair (one number for the two motors of a pair), and low and high [rad], its stops. Lines that begin with #
     are comments.
 
-    Missing parameters: at `home_height` the cranks are level in the mean; the branch of a leg is the one that is nearer
-    to level there; `characteristic_length` is the joints' mean distance from the axis of P; links are as slender as the
-    paper's; inertias are those of uniform bars and of a disc.
+    Missing parameters: at `home_height` the cranks are level on average; the branch of a leg is the one with the crank
+    nearer to level there; `characteristic_length` is the joints' mean distance from the axis of P; links are as slender
+    as the paper's; inertias are those of uniform bars and of a disc.
 
     Raises:
         ConfigurationError: Too few rows, columns or numbers; an unknown choice; cranks that point to or from a partner,
@@ -153,17 +147,16 @@ def from_table(table: str | Path | ArrayLike, unit: Unit, cranks: Cranks, parame
     scale = UNITS[unit]
     chosen = {name: scale * np.array(value) if name in _LENGTHS else value for name, value in parameters.items()}
     columns = _columns(table)
-    # Without the rounding of millimetres in metres.
+    # Removes rounding errors of millimetres in metres.
     shafts, joints = (np.round(scale * _vectors(columns, end), 12) for end in ("shaft", "joint"))
-    # Before the lengths: with a mirrored axis rods seem too short.
+    # Before the lengths, because with a mirrored axis rods seem too short.
     check_order(shafts, joints)
     lengths: dict[str, np.ndarray] = {}
     for name in ("crank_length", "rod_length"):
         if name not in columns and name not in chosen:
             raise ConfigurationError(f"table: {name}", None, f"a column {name}, or {name} for all legs")
-        lengths[name] = (
-            np.round(scale * columns[name], 12) if name in columns else np.full(LEG_COUNT, float(chosen[name]))
-        )
+        column = np.full(LEG_COUNT, chosen[name]) if name not in columns else np.round(scale * columns[name], 12)
+        lengths[name] = column
     pairs = () if "crank_x" in columns or cranks == "outwards" else _pairs(columns, shafts)
     zero, up = _directions(columns, shafts, cranks, pairs)
     rods, height = lengths["rod_length"], chosen.get("home_height")
@@ -196,27 +189,28 @@ def _vectors(columns: Mapping[str, np.ndarray], name: str) -> np.ndarray:
     return np.stack([columns[f"{name}_{axis}"] for axis in "xyz"], axis=-1)
 
 
-def _columns(table: Any) -> dict[str, np.ndarray]:
+def _columns(table: str | Path | ArrayLike) -> dict[str, np.ndarray]:
     """Columns (6,) of a table by name."""
-    names: Sequence[str] = _POSITIONS if np.shape(table)[1:] != (len(_POSITIONS) + 1,) else (*_POSITIONS, "pair")
-    what = "table"
+    rows: ArrayLike = [] if isinstance(table, Path) else table
+    names: Sequence[str] = _POSITIONS if np.shape(rows)[1:] != (len(_POSITIONS) + 1,) else (*_POSITIONS, "pair")
+    key = "table"
     if isinstance(table, (str, Path)):
-        what = f"table {table}"
-        text = read_checked(table, what, _MAX_BYTES).decode("utf-8-sig", "replace")
+        key = f"table {table}"
+        text = read_checked(table, key, _MAX_BYTES).decode("utf-8-sig", "replace")
         lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-        names, *table = [[cell.strip() for cell in row] for row in csv.reader(lines)] or [[]]
-        _check_header(f"{what}: header", names)
+        names, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines)] or [[]]
+        _check_header(f"{key}: header", names)
     allowed = f"{LEG_COUNT} rows, one per leg, of {', '.join(names)}"
     try:
-        values = np.asarray(table, dtype=float)
+        values = np.asarray(rows, dtype=float)
     except (TypeError, ValueError) as error:
-        raise ConfigurationError(what, str(error), allowed) from None
+        raise ConfigurationError(key, str(error), allowed) from None
     if values.shape != (LEG_COUNT, len(names)):
-        raise ConfigurationError(what, values.shape, allowed)
+        raise ConfigurationError(key, values.shape, allowed)
     if (wrong := ~(np.abs(values) <= LARGEST_SIZE)).any():
         leg, column = np.argwhere(wrong)[0]
         allowed = f"a number within {LARGEST_SIZE:g}"
-        raise ConfigurationError(f"{what}: {names[column]} of leg {leg}", float(values[leg, column]), allowed)
+        raise ConfigurationError(f"{key}: {names[column]} of leg {leg}", float(values[leg, column]), allowed)
     columns = dict(zip(names, values.T, strict=True))
     for polar, plain in _POLAR.items():
         if polar[-1] in columns:
@@ -246,7 +240,7 @@ def _check_header(key: str, given: Sequence[str]) -> None:
 
 
 def _pairs(columns: Mapping[str, np.ndarray], shafts: np.ndarray) -> tuple[tuple[int, int], ...]:
-    """Legs of paired motors: with one number in the column `pair`, or clearly beside each other."""
+    """Legs of paired motors: with one number in the column `pair`, or clearly next to each other."""
     if "pair" in columns:
         pairs = [tuple(np.flatnonzero(columns["pair"] == number).tolist()) for number in np.unique(columns["pair"])]
         if {len(legs) for legs in pairs} != {2}:
@@ -281,7 +275,7 @@ def _directions(
         across = np.cross([0.0, 0.0, 1.0], outwards)
         side = np.sum(across * towards, axis=-1, keepdims=True)
         sizes = np.linalg.norm(across, axis=-1, keepdims=True) * np.linalg.norm(towards, axis=-1, keepdims=True)
-        # A partner straight across the centre is on neither side.
+        # A partner directly opposite is on neither side.
         zero = -np.where(np.abs(side) > _SIDE * sizes, np.sign(side), 0.0) * across
     else:
         zero = towards if cranks == "towards" else -towards

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BeforeValidator, Field
 
-from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.atomic_files import Document, write_atomically
 from stewart_drake.base.config import as_problem
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.yaml_files import find_file, read_mapping, shipped_folder, to_yaml
 from stewart_drake.robot.robot_parameters import RobotParameters
 
-_ABOUT = ("name", "about", "mjcf")
-"""Further keys of a file: texts, and a model for MuJoCo."""
+_ABOUT = ("name", "about", "mjcf")  # Further keys of a file: texts, and a model for MuJoCo.
 
 
 def robot_names() -> list[str]:
@@ -35,24 +34,24 @@ def load_robot(name: str | Path) -> RobotParameters:
 
 
 def save_robot(robot: RobotParameters, path: str | Path, about: str = "") -> None:
-    """Writes a robot as a YAML file that `load_robot` and `robot:` in a scenario read; defaults are left out.
+    """Writes a robot as a YAML file for `load_robot` and for `robot:` in a scenario, without defaults.
 
     Args:
-        robot: What to write.
+        robot: The robot.
         path: The file; its folder must exist.
         about: One line about the robot.
 
     Raises:
         ConfigurationError: The folder is missing or not writable.
     """
-    usual = RobotParameters().to_dict()
-    data = {key: value for key, value in robot.to_dict().items() if value != usual[key]}
+    defaults = RobotParameters().to_dict()
+    data = {key: value for key, value in robot.to_dict().items() if value != defaults[key]}
     if robot.legs is not None:
         data["legs"] = [{key: value for key, value in leg.items() if value is not None} for leg in data["legs"]]
     write_atomically(Path(path), to_yaml(({"about": about} if about else {}) | data).encode())
 
 
-def robot_section(name: str | Path) -> dict[str, Any]:
+def robot_section(name: str | Path) -> Document:
     """Keys and values of a robot's file, unchecked."""
     return {key: value for key, value in _read(name).items() if key not in _ABOUT}
 
@@ -66,7 +65,7 @@ def robot_model(name: str | Path) -> str:
     """The MJCF named in a robot's file, see `plant.model_file`: a path, or a file in a Python package.
 
     Raises:
-        ConfigurationError: No such robot, or its file names none.
+        ConfigurationError: The robot does not exist, or its file has no key `mjcf`.
     """
     model = _read(name).get("mjcf")
     if not isinstance(model, str):
@@ -75,7 +74,7 @@ def robot_model(name: str | Path) -> str:
     return model if model.startswith("package:") else str(find_file("robot", name).parent / model)
 
 
-def _read(name: str | Path) -> dict[str, Any]:
+def _read(name: str | Path) -> Document:
     return read_mapping("robot", find_file("robot", name), 100)
 
 

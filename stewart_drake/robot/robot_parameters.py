@@ -262,7 +262,7 @@ class RobotParameters(Section, key="robot"):
         """(6,) [-] `effort_limits` over `effort_limit`."""
         return _frozen(self.effort_limits / self.effort_limit)
 
-    def heavier(self, head: float, links: float = 1.0) -> dict[str, Any]:
+    def heavier(self, head: float, links: float = 1.0) -> dict[str, float | list[float]]:
         """Keys of all masses and inertias: the platform's times `head`, those of rods, cranks and rotors `links`."""
         shares = {"rod_mass": links, "rod_inertia": links, "crank_mass": links, "crank_inertia": links}
         shares |= {"rotor_inertia": links, "platform_mass": head, "platform_inertia": head, "platform_products": head}
@@ -315,17 +315,17 @@ class RobotParameters(Section, key="robot"):
         shafts, joints = (np.hypot(*places.T[:2]) for places in (self.shaft_positions, self.joints_in_platform))
         masses = f"platform {self.platform_mass:.4g} kg, rod {self.rod_mass:.4g} kg, crank {self.crank_mass:.4g} kg"
         return (
-            f"RobotParameters, six legs {'alike' if self.legs is None else 'with numbers of their own'}\n"
+            f"RobotParameters, six {'equal' if self.legs is None else 'different'} legs\n"
             f"  shafts {_spread(shafts)} m and platform joints {_spread(joints)} m from the middle\n"
             f"  {self.links_text}, home at {self.home_height:.4g} m\n"
             f"  {masses}\n"
             f"  motors {_spread(self.effort_limits)} N m"
         )
 
-    def each_leg(self) -> list[dict[str, Any]]:
-        """Values of all six legs, as `legs` takes them."""
+    def each_leg(self) -> list[dict[str, object]]:
+        """Values of all six legs, in the form of `legs`."""
         names = ("shaft_position", "crank_zero_direction", "crank_quarter_direction", "crank_length", "rod_length")
-        legs: list[dict[str, Any]] = [
+        legs: list[dict[str, object]] = [
             {name: getattr(self, f"{name}s")[leg].tolist() for name in names} for leg in range(LEG_COUNT)
         ]
         for leg, joint in zip(legs, self.joints_in_platform, strict=True):

@@ -1,4 +1,4 @@
-"""Defaults that come from the robot: lengths, torques and gains in the size that they have for the paper's."""
+"""Defaults that depend on the robot: lengths, torques and gains, scaled from the paper's robot."""
 
 from __future__ import annotations
 
@@ -10,20 +10,17 @@ from stewart_drake.robot.robot_parameters import RobotParameters
 
 PAPER = RobotParameters()
 LATENCY = 0.005
-"""[s] of a control period and the delay of a command, up to which the defaults of gains hold; their natural frequency
-of some 66 rad/s is then a third of a radian of phase. For a longer one they are as much slower."""
-_BELIEVED = ("controller", "tuner", "estimator", "safety")
-"""Sections scaled by the controller's model of the robot."""
+"""[s] Largest sum of control period and command delay for the default gains; at their natural frequency of about
+66 rad/s this is a third of a radian of phase. With a longer latency, gains are reduced in proportion."""
+_OF_MODEL = ("controller", "tuner", "estimator", "safety")  # Sections scaled by the controller's model of the robot.
 
 
 class OfRobot(NamedTuple):
     """In `Annotated`: how the default of a field, which is for the paper's robot, is scaled to another robot."""
 
-    value: Callable[[Any, RobotParameters], Any]
-    null: bool = False
-    """Whether a null in the file asks for it, rather than the key's absence."""
-    slower: float = 0.0
-    """Power of `LATENCY` / latency with which it falls where commands act later than `LATENCY`."""
+    value: Callable[[Any, RobotParameters], Any]  # Of the default and the robot.
+    null: bool = False  # Whether a null in the file means the default, rather than a missing key.
+    slower: float = 0.0  # Power of `LATENCY` / latency, a factor for latencies above `LATENCY`.
 
     def at(self, default: Any, robot: RobotParameters, latency: float) -> Any:
         """The default for a robot whose commands act within a latency [s]."""
@@ -33,19 +30,20 @@ class OfRobot(NamedTuple):
 
 def defaults_of(
     robot: RobotParameters,
-    believed: RobotParameters,
+    model: RobotParameters,
     latency: float,
-    others: Mapping[str, Mapping[str, Any]] | None = None,
+    others: Mapping[str, Mapping[str, object]] | None = None,
 ) -> Callable[[type[Section], dict[str, Any]], dict[str, Any] | None]:
-    """How sections get the defaults of a robot whose commands act within a latency [s], see `Reading`.
+    """A function that adds the defaults of a robot and a latency [s] to the keys of a section, see `Reading`.
 
-    `others`: name of a section -> what it has unless one of these keys is given.
+    `model` is the controller's model of the robot. `others`: section -> further defaults, unless one of its keys is
+    given.
     """
 
     def with_defaults(section: type[Section], given: dict[str, Any]) -> dict[str, Any] | None:
         if section is RobotParameters:
             return None
-        scaled_to = believed if section.section_key in _BELIEVED else robot
+        scaled_to = model if section.section_key in _OF_MODEL else robot
         more = (others or {}).get(section.section_key, {})
         if not given.keys() & more.keys() and more.keys() <= section.__pydantic_fields__.keys():
             given = {**given, **more}
@@ -60,14 +58,14 @@ def defaults_of(
 
 
 def times(measure: Callable[[RobotParameters], float], power: float = 1.0, slower: float = 0.0) -> OfRobot:
-    """A default that grows with a measure of the robot; for `slower` see `OfRobot`.
+    """A default in proportion to a power of a measure of the robot; for `slower` see `OfRobot`.
 
-    Of two numbers, the first an angle, the second grows; of a pose its last three do.
+    Of a tuple, such as an angle and a length, or a pose, only the second half is scaled.
     """
 
     def value(default: Any, robot: RobotParameters) -> Any:
         if robot == PAPER:
-            # It would be 1 to the last bit; a scenario is read without compiling a law.
+            # The scale is 1; this way a scenario is read without compiling a law.
             return default
         scale = (measure(robot) / measure(PAPER)) ** power
         if not isinstance(default, tuple):

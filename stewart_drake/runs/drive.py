@@ -399,7 +399,7 @@ class Drive:
         if first:
             self._pace = Pace(self._period)
         else:
-            self._pace.advance(leave_out=True)
+            self._pace.advance(skip=True)
         late = self._pace.wait()
         return machine.read(), self._pace.tick - self._ticks_behind, late
 

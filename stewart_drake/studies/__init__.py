@@ -1,1 +1,1 @@
-"""Studies: many scenarios, a row each, and tables of them. Sweeps, comparisons, faults, and the search for gains."""
+"""Studies of many runs with a table of results: sweeps, comparisons, faults, and the search for gains."""

@@ -1,4 +1,4 @@
-"""A comparison: controllers on references under conditions, best of several, bands; its tables and pictures."""
+"""A comparison of controllers over references and conditions: its runs, tables and figures."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -45,16 +44,16 @@ from stewart_drake.studies.runs import Measure, Row, measure_response, measure_t
 SEED = "{seed}"
 NAMES = ("controller", "reference", "condition", "seed")
 MAX_AMPLITUDE = (0.05,) * 3 + (0.005,) * 3
-"""[rad, m] amplitude of a band, where half of the largest feasible one is not less."""
-_QUICK_FREQUENCIES, _WINDOW = 2, 1.0
-_Parts = Mapping[str, Mapping[str, Mapping[str, Any]]]
-_Run = tuple[dict[str, Any], dict[str, Any], Measure]
-"""Changes, labels, and what is measured."""
-
+"""[rad, m] Amplitude for frequency responses; half of the largest feasible one, if that is less."""
+_QUICK_FREQUENCIES = 2  # Frequencies under `--quick`.
+_MIN_WINDOW = 1.0  # [s] of the fit, rounded up to whole periods.
+_Keys = dict[str, object]  # Scenario key -> value.
+_Parts = Mapping[str, Mapping[str, Mapping[str, object]]]  # Kind -> name -> scenario key -> value.
+_Run = tuple[_Keys, dict[str, object], Measure]  # Changes, labels, and measure.
 
 _NAMES = (
     Column("controller", "", "name of the controller", "text"),
-    Column("chosen", "", "in a best-of row: the controller that is best here", "text"),
+    Column("chosen", "", "in a best-of row: the best controller for this reference, condition and seed", "text"),
     Column("reference", "", "name of the reference; for a frequency response, the axis", "text"),
     Column("condition", "", "name of the condition", "text"),
     Column("seed", "", "value of {seed}", "integer"),
@@ -79,13 +78,13 @@ class Comparison(Experiment):
     @classmethod
     def from_dict(
         cls,
-        data: Mapping[str, Any],
+        data: Mapping[str, object],
         folder: Path | None = None,
         quick: bool = False,
         robot: str | None = None,
         trust_code: bool = False,
     ) -> Comparison:
-        """From plain values of a `CompareFile`; paths relative to `folder`, motions in the size of `robot`."""
+        """Comparison of the plain values of a `CompareFile`; paths relative to `folder`, motions scaled to `robot`."""
         file, base = CompareFile.read("comparison", data, folder, trust_code)
         parts = {kind: getattr(file, kind) for kind in KINDS}
         if file.tuned is not None:
@@ -99,9 +98,10 @@ class Comparison(Experiment):
         if robot is not None:
             base = base.replace({"robot": robot})
             base = base.replace(scale_to_robot({"reference": to_plain(base.reference)}, base))
-            # One at a time: a motion is fitted for its own duration.
+            # A motion is fitted for the duration among its keys, so each group of keys is scaled separately.
             parts = {
-                kind: {name: scale_to_robot(keys, base) for name, keys in each.items()} for kind, each in parts.items()
+                kind: {name: scale_to_robot(keys, base) for name, keys in named.items()}
+                for kind, named in parts.items()
             }
         runs = _tracking_runs(file, base, parts, quick)
         if file.bands is not None:
@@ -128,7 +128,7 @@ class Comparison(Experiment):
         )
 
     def tables(self, rows: list[Row]) -> Tables:
-        """Of the runs, with a best of several before those that it is chosen from; and of the bands."""
+        """Tables of the runs, best-of rows first, and of the frequency responses."""
         runs = [{**row, "chosen": None} for row in rows if "frequency_hz" not in row]
         bands = [row for row in rows if "frequency_hz" in row]
         best_rows: list[Row] = []
@@ -142,15 +142,13 @@ class Comparison(Experiment):
 
     def shown(self, rows: Sequence[Row]) -> list[Row]:
         products = self.file.products
-        asked = {
-            key for each in products for key in itertools.product(each.controllers, each.references, each.conditions)
-        }
-        names = dict.fromkeys(name for each in products for name in each.controllers)
-        by_run = grouped((row for row in rows if tuple(row[name] for name in NAMES[:3]) in asked), "controller")
-        return [row for name in names for row in by_run.get((name,), ())]
+        requested = {key for item in products for key in item.combinations()}
+        names = dict.fromkeys(name for item in products for name in item.controllers)
+        by_name = grouped((row for row in rows if tuple(row[name] for name in NAMES[:3]) in requested), "controller")
+        return [row for name in names for row in by_name.get((name,), ())]
 
     def sheets(self, rows: Mapping[str, list[Row]]) -> list[TextTable]:
-        """The tables that are read: of several seeds the worst number."""
+        """Tables for a reader, with the worst number of several seeds."""
         runs, sheets = self.shown(rows["comparison"]), []
         figures = dict(_FIGURES)
         if self.file.cost is not None:
@@ -187,7 +185,7 @@ class Comparison(Experiment):
         return "\n".join(sheet.markdown() for sheet in self.sheets(rows))
 
     def figures(self, rows: Mapping[str, list[Row]]) -> Figures:
-        # matplotlib takes a second to load.
+        # Here, because matplotlib takes a second to load.
         from stewart_drake.plotting.study_plots import plot_bands, plot_error, plot_rmse
 
         runs, bands = self.shown(rows["comparison"]), rows["bands"]
@@ -218,7 +216,7 @@ def _tracking_runs(file: CompareFile, base: Scenario, parts: _Parts, quick: bool
         controllers = itertools.chain(*members)
         names |= dict.fromkeys(itertools.product(controllers, product.references, product.conditions))
     measure = partial(measure_tracking, band=file.band, scales=file.cost)
-    # A run that was refused or broke has no figures at all.
+    # A run that was refused or raised an error has no other figures.
     cost = {} if file.cost is None else {"cost": FAILED}
     runs: list[_Run] = []
     for controller, reference, condition in names:
@@ -227,8 +225,8 @@ def _tracking_runs(file: CompareFile, base: Scenario, parts: _Parts, quick: bool
             **parts["controllers"][controller],
             **parts["conditions"][condition],
         }
-        for seed in file.seeds if _with_seed(changes, 0) != changes else file.seeds[:1]:
-            seeded = _with_seed(changes, seed)
+        for seed in file.seeds if _seeded(changes, 0) != changes else file.seeds[:1]:
+            seeded = _seeded(changes, seed)
             with error_prefix(f"{controller}, {reference}, {condition}: "):
                 duration = with_changes(base, seeded).duration
             if quick:
@@ -249,8 +247,8 @@ def _response_runs(bands: Bands, seed: int, base: Scenario, parts: _Parts, quick
     runs: list[_Run] = []
     for axis, frequency in itertools.product(bands.axes, frequencies):
         place = COORDINATES.index(axis)
-        most = largest_amplitude(plain.robot, plain.limits, place, frequency, plain.gravity)
-        amplitude = min(MAX_AMPLITUDE[place], 0.5 * most)
+        largest = largest_amplitude(plain.robot, plain.limits, place, frequency, plain.gravity)
+        amplitude = min(MAX_AMPLITUDE[place], 0.5 * largest)
         if amplitude <= 0.0:
             allowed = f"frequencies at which {axis} can move within the limits"
             raise ConfigurationError("bands.frequencies", frequency, allowed)
@@ -260,11 +258,11 @@ def _response_runs(bands: Bands, seed: int, base: Scenario, parts: _Parts, quick
             "amplitude": (amplitude * np.eye(6)[place]).tolist(),
             "angular_frequency": [2.0 * math.pi * frequency] * 6,
         }
-        window = math.ceil(_WINDOW * frequency - 1e-9) / frequency
+        window = math.ceil(_MIN_WINDOW * frequency - 1e-9) / frequency
         measure = partial(measure_response, frequency=frequency, axis=place, window=window)
         for name in bands.controllers:
-            changes = {**parts["controllers"][name], **condition, "reference": reference}
-            changes = _with_seed({**changes, "duration": transient + window}, seed)
+            motion = {"reference": reference, "duration": transient + window}
+            changes = _seeded({**parts["controllers"][name], **condition, **motion}, seed)
             with error_prefix(f"bands, {name}, {axis}, {frequency:g} Hz: "):
                 with_changes(base, changes)
             labels = dict(zip(NAMES, (name, axis, bands.condition, seed), strict=True))
@@ -272,9 +270,13 @@ def _response_runs(bands: Bands, seed: int, base: Scenario, parts: _Parts, quick
     return runs
 
 
-def _with_seed(value: Any, seed: int) -> Any:
+def _seeded(changes: Mapping[str, object], seed: int) -> _Keys:
+    return {key: _with_seed(value, seed) for key, value in changes.items()}
+
+
+def _with_seed(value: object, seed: int) -> object:
     if isinstance(value, Mapping):
-        return {key: _with_seed(item, seed) for key, item in value.items()}
+        return _seeded(value, seed)
     if isinstance(value, list):
         return [_with_seed(item, seed) for item in value]
     return seed if value == SEED else value
@@ -298,11 +300,11 @@ _FIGURES = {
     "change per tick [N m]": "torque_change_rms",
     "at the limit": "saturated_fraction",
 }
-"""Heading -> column of what is shown of a run; a grid has the last four over all motions."""
+"""Heading -> column of the figures in a sheet; a grid shows the last four for all motions together."""
 
 
 def _rank(row: Row) -> tuple[bool, float]:
-    """Smallest for the best: the smallest error, and where all have failed the one that got furthest."""
+    """Sort key of the best run: the smallest error; of failed runs the latest end."""
     if row["status"] == "completed" and row.get("pose_rmse_mm") is not None:
         return False, float(row["pose_rmse_mm"])
     return True, -float(row.get("end_time") or 0.0)

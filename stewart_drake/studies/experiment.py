@@ -1,4 +1,4 @@
-"""What every experiment is: runs of scenarios, a row each, and its tables."""
+"""An experiment: runs of scenarios, a table with a row per run, a page and figures."""
 
 from __future__ import annotations
 
@@ -34,11 +34,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 T = TypeVar("T")
+RowT = TypeVar("RowT", bound=Mapping[str, Any])
+Keys = dict[Text, Any]  # Scenario key -> value.
 StudyName = Annotated[Text, Field(max_length=80, pattern=NAME), with_message(f"at most 80 {NAME_WORDS}")]
 Tables = Mapping[str, tuple[Sequence[Column], list[Row]]]
-"""Name of a table -> its columns, and its rows, which may say more."""
+"""Name of a table -> its columns, and its rows, which may have further values."""
 Figures = Mapping[str, Callable[[], "Figure"]]
-"""Name of a figure -> what draws it."""
+"""Name of a figure -> function that draws it."""
 RunTrials = Callable[[Sequence[Trial]], list[Row]]
 """See `RowStore.rows`."""
 INCIDENTAL = (
@@ -47,30 +49,30 @@ INCIDENTAL = (
     Column("host", "", "name of the machine", "text"),
     Column("worker", "", "number of the worker process", "integer"),
 )
-MOST = 5  # Reasons below a table.
-COMPARED = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
+MAX_REASONS = 5  # Reasons of refusals below a table.
+COMPARED_FIGURES = ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")
 
 
 class StudyFile(Section):
-    """Keys that the files of sweeps and comparisons have; paths among them are absolute."""
+    """Keys of both sweep and comparison files; paths in their values are absolute."""
 
     name: StudyName
     """Name of the study, for the output folder and titles."""
     scenario: Text
     """The scenario to change: a file, relative to this one, or the name of a shipped scenario."""
-    set: dict[Text, Any] = Field(default_factory=dict)
+    set: Keys = Field(default_factory=dict)
     """Scenario key -> value, for every run."""
 
     @classmethod
-    def read(cls, what: str, data: Any, folder: Path | None, trust_code: bool) -> tuple[Self, Scenario]:
-        """The keys from plain values, and the scenario with `set` in it; paths are relative to `folder`."""
+    def read(cls, what: str, data: object, folder: Path | None, trust_code: bool) -> tuple[Self, Scenario]:
+        """The keys, read from plain values, and the scenario with `set` applied; paths are relative to `folder`."""
         folder = Path() if folder is None else folder
         if not isinstance(data, Mapping):
             raise ConfigurationError(what, data, "a mapping of keys to values")
         given = cls.from_dict(anchored(data, folder))
         place = folder / given.scenario
         with error_prefix("scenario: "):
-            # Unlike `Path.is_file` this never raises, whatever stands in the way.
+            # `Path.is_file` may raise.
             file = place if os.path.isfile(place) else given.scenario  # noqa: PTH113
             loaded = load_scenario(file, trust_code=trust_code)
         with error_prefix("set."):
@@ -79,19 +81,15 @@ class StudyFile(Section):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Experiment:
-    """Runs of a scenario with some keys changed, and what is made of their rows.
+    """Runs of a scenario with some keys changed, and the tables and figures of their rows."""
 
-    `kind` is the name of the first table, and the key of what the tables' metadata say of the experiment; `work` is
-    what the rows depend on, in plain values; `variants` together name every weights file and class of the user's.
-    """
-
-    kind: str
+    kind: str  # Name of the first table, and key of the metadata.
     name: str
     base: Scenario
     trials: Sequence[Trial]
     columns: Sequence[Column]
-    work: Mapping[str, Any]
-    variants: Sequence[Scenario] = ()
+    work: Mapping[str, object]  # All that the rows depend on, in plain values.
+    variants: Sequence[Scenario] = ()  # Scenarios that together name all weights files and user classes.
 
     @property
     def runs(self) -> int:
@@ -108,21 +106,21 @@ class Experiment:
         return ""
 
     def figures(self, rows: Mapping[str, list[Row]]) -> Figures:  # noqa: ARG002
-        """Of the rows by table."""
+        """Figures of the rows by table."""
         return {}
 
     def scenario(self, index: int) -> Scenario:
-        """The scenario of run `index`; ConfigurationError where its values do not make one."""
+        """The scenario of run `index`; raises a ConfigurationError if its values are not valid."""
         return self.trials[index].scenario()
 
-    def identity(self) -> dict[str, Any]:
-        """What kept rows are known by; the user's classes are loaded: one that lacks shows early."""
+    def identity(self) -> dict[str, object]:
+        """All that the rows depend on, see `identity`; loads the user's classes, so that a missing one shows early."""
         for part in {part.code: part for variant in self.variants for part in user_parts(variant)}.values():
             part.load()
         return identity(self.work, self.variants)
 
     def compared(self, rows: Sequence[Row]) -> str | None:
-        """A line on fast plants: the first completed run on one again, on the plant that it replaces; None without."""
+        """A line that compares the first completed run on a fast plant with Drake's; None without a fast plant."""
         kinds = {variant.plant.kind for variant in self.variants if variant.plant.compared_with}
         if not kinds:
             return None
@@ -135,7 +133,7 @@ class Experiment:
             except StewartDrakeError as error:
                 return f"{line}. Run {trial.key} does not run on {other}: {error}"
             figures, words = run_metrics(log), [describe_outcome(log.status, log.reason)]
-            for name in COMPARED:
+            for name in COMPARED_FIGURES:
                 if row.get(name) is not None and figures.get(name):
                     change = 100.0 * (row[name] / figures[name] - 1.0)
                     words.append(f"{name} {figures[name]:.3g} (here {change:+.2g} %)")
@@ -157,7 +155,7 @@ def run_experiment(
     progress: Callable[[float], None] | None = None,
     restart: bool = False,
 ) -> Result:
-    """Runs what is missing of an experiment and writes its tables; `progress` gets the number of runs done."""
+    """Does the missing runs of an experiment and writes its tables; `progress` gets the number of runs done."""
     with RowStore(folder, experiment.identity(), workers, progress, restart) as store:
         rows = experiment.rows(store.rows)
         compared = experiment.compared(rows)
@@ -177,8 +175,8 @@ def run_experiment(
 
 
 def write_figures(figures: Figures, folder: Path) -> bool:
-    """Writes each figure as .png and .pdf; whether there are any."""
-    # matplotlib takes a second to load.
+    """Writes all figures as .png and .pdf; returns whether there are any."""
+    # Here, because matplotlib takes a second to load.
     from stewart_drake.plotting import save_figure
 
     with locked_folder(folder):
@@ -189,21 +187,21 @@ def write_figures(figures: Figures, folder: Path) -> bool:
     return bool(figures)
 
 
-def load_experiment(kind: str, path: str | Path, make: Callable[[dict[str, Any], Path], T]) -> T:
+def load_experiment(kind: str, path: str | Path, make: Callable[[dict[str, object], Path], T]) -> T:
     path = find_file(kind, path)
     return make(read_mapping(kind, path, 80), path.parent)
 
 
 def trial_of(
-    base: Mapping[str, Any],
+    base: Mapping[str, object],
     index: int,
     name: str,
-    changes: Mapping[str, Any],
-    labels: Mapping[str, Any],
+    changes: Mapping[str, object],
+    labels: Mapping[str, object],
     measure: Measure = measure_all,
     **more: Any,
 ) -> Trial:
-    """A run by its number; figures are those of every tick, whatever the scenario wants in a log."""
+    """Run `index` of an experiment; its figures use every tick, whatever the scenario's `log_period`."""
     changes = {"name": name, **changes, "log_period": None}
     return Trial(str(index), base, changes, {"index": index, **labels}, measure, **more)
 
@@ -216,8 +214,8 @@ def error_prefix(where: str) -> Iterator[None]:
         raise error.within(where) from None
 
 
-def with_changes(base: Scenario, changes: Mapping[str, Any], trust_code: bool = False) -> Scenario:
-    """A scenario with some keys changed; ConfigurationError where none results, or with a part given in Python."""
+def with_changes(base: Scenario, changes: Mapping[str, object], trust_code: bool = False) -> Scenario:
+    """A scenario with some keys changed; raises a ConfigurationError if it is invalid or has a part given in Python."""
     changed = base.replace(changes, trust_code)
     refuse_given(changed)
     return changed
@@ -226,41 +224,40 @@ def with_changes(base: Scenario, changes: Mapping[str, Any], trust_code: bool = 
 # --- tables, for programs and for readers ---
 
 
-def to_arrow(
-    columns: Sequence[Column], rows: Iterable[Mapping[str, Any]], key: str, about: Mapping[str, Any]
-) -> pa.Table:
+def to_arrow(columns: Sequence[Column], rows: Iterable[Row], key: str, about: Mapping[str, object]) -> pa.Table:
     import pyarrow as pa
 
     types = {"number": pa.float64(), "integer": pa.int64(), "flag": pa.bool_()}
     fields = [
-        pa.field(each.name, types.get(each.kind, pa.string()), metadata={"unit": each.unit, "text": each.text})
-        for each in columns
+        pa.field(column.name, types.get(column.kind, pa.string()), metadata={"unit": column.unit, "text": column.text})
+        for column in columns
     ]
     as_text = [column.name for column in columns if column.kind == "json"]
     plain = [{**row, **{name: json.dumps(row.get(name)) for name in as_text}} for row in rows]
     return pa.Table.from_pylist(plain, pa.schema(fields, metadata={f"stewart_drake.{key}": json.dumps(about)}))
 
 
-def grouped(rows: Iterable[Mapping[str, Any]], *columns: str) -> dict[tuple[Any, ...], list[Any]]:
-    """Rows by their values in some columns, in the order in which these come."""
-    groups: dict[tuple[Any, ...], list[Any]] = {}
+def grouped(rows: Iterable[RowT], *columns: str) -> dict[tuple[Any, ...], list[RowT]]:
+    """Rows by their values in some columns, in order of first appearance."""
+    groups: dict[tuple[Any, ...], list[RowT]] = {}
     for row in rows:
         groups.setdefault(tuple(row[column] for column in columns), []).append(row)
     return groups
 
 
 Show = Callable[[list[Row]], str]
+"""Text of a cell for its rows."""
 
 
 def pivot(
     title: str, rows: Sequence[Row], line: str, column: str, show: Show, more: Mapping[str, Show] | None = None
 ) -> TextTable:
-    """A line for each value of one column, a cell for each of another; `more`: heading -> cell of the whole line."""
+    """Lines by the values of one column, cells by those of another; `more`: heading -> cell for the whole line."""
     cells, more = grouped(rows, line, column), more or {}
     values = [value for (value,) in grouped(rows, column)]
     lines = [
         (name, *(show(cells[name, value]) if (name, value) in cells else "-" for value in values))
-        + tuple(of_line(group) for of_line in more.values())
+        + tuple(show_line(group) for show_line in more.values())
         for (name,), group in grouped(rows, line).items()
     ]
     headings = [f"{value:g} Hz" if isinstance(value, float) else value for value in values]
@@ -268,17 +265,17 @@ def pivot(
 
 
 def refusals(rows: Iterable[Row]) -> list[str]:
-    """Why runs were refused or raised an error: a line for each reason, whatever its numbers, at most `MOST`."""
+    """Why runs were refused or raised an error: at most `MAX_REASONS` lines; numbers do not distinguish reasons."""
     texts = [f"{row['status']}: {row['message']}" for row in rows if row["status"] in ("rejected", "raised")]
     reasons = [re.sub(r"-?\d[\d.]*(e[+-]\d+)?", "", text) for text in texts]
-    counts = Counter(reasons).most_common(MOST)
+    counts = Counter(reasons).most_common(MAX_REASONS)
     lines = [f"{count} {' '.join(texts[reasons.index(reason)].split())}" for reason, count in counts]
     rest = len(texts) - sum(count for _, count in counts)
     return [*lines, f"{rest} more for other reasons: see the column `message`"] if rest else lines
 
 
 def worst(rows: Iterable[Row], column: str) -> str:
-    """The largest number in a column, or a dash where one lacks."""
+    """The largest number in a column, or a dash if one is missing."""
     values: list[Any] = [row.get(column) for row in rows]
     return number(max(values, default=None) if None not in values else None)
 

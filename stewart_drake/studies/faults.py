@@ -1,4 +1,4 @@
-"""The fault table: every fault of `faults.yaml` during every motion, and what the safety layer makes of it."""
+"""The fault table: every fault of `faults.yaml` during every motion, and the reaction of the safety layer."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from stewart_drake.logs.outcomes import pose_distance
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.plant.closed_form import ClosedForm
-from stewart_drake.plant.plant_options import CRANK_RATES, POSE
+from stewart_drake.plant.plant_options import CRANK_RATES, POSE, MechanismOptions
 from stewart_drake.robot.robot_scale import LENGTH
 from stewart_drake.safety import RAMP
 from stewart_drake.scenario.scenario import Scenario, load_scenario
-from stewart_drake.studies.experiment import Experiment, Tables, pivot, trial_of
+from stewart_drake.studies.experiment import Experiment, Keys, Tables, pivot, trial_of
 from stewart_drake.studies.robots import scale_to_robot
 from stewart_drake.studies.runs import Row, measure_all, simulate, simulate_unchecked
 
 Reaction = Literal["refused", "ridden through", "held", "ramped", "ended", "unnoticed"]
-"""How the safety layer took a fault; `REACTIONS` says what each means."""
+"""Reaction of the safety layer to a fault, explained in `REACTIONS`."""
 REACTIONS: Mapping[str, str] = {
     "refused": "In the table of `faults`: the run was refused before it began.",
     "ridden through": "In the table of `faults`: no monitor tripped, and none had to.",
@@ -45,64 +45,62 @@ REACTIONS: Mapping[str, str] = {
     "are all that is left.",
 }
 
-_FILE: Mapping[str, Any] = parse_yaml(
-    Path(__file__).with_name("faults.yaml").read_text(encoding="utf-8"), "faults.yaml"
-)
-ONSET: float = _FILE["onset"]
-DURATION: float = _FILE["duration"]
-MOTIONS: Mapping[str, Mapping[str, Any]] = _FILE["motions"]
+_FILE = parse_yaml(Path(__file__).with_name("faults.yaml").read_text(encoding="utf-8"), "faults.yaml")
+ONSET: float = _FILE["onset"]  # [s]
+DURATION: float = _FILE["duration"]  # [s]
+MOTIONS: Mapping[str, Mapping[str, object]] = _FILE["motions"]  # Name -> keys of `reference`.
 
 
 class FaultCase(Section):
     name: Text
     text: Text
-    changes: dict[str, Any] = Field(default_factory=dict)
-    """Scenario keys; `reference` is the motion's, whatever they say."""
+    changes: Keys = Field(default_factory=dict)
+    """Scenario key -> value. The motion replaces a `reference` among them."""
     expected: tuple[Reaction, ...] = ("ridden through",)
     monitors: tuple[Text, ...] = ()
     drift: Vector6 | None = None
-    """[rad, m] by which the reference wanders off; null for not at all."""
+    """[rad, m] drift of the reference; null for none."""
     drift_time: NotNegative = 0.8
-    """[s] in which it does."""
+    """[s] duration of the drift."""
     checked: Flag = True
-    """Whether the run is checked beforehand, as a user's is."""
+    """Whether the motion is checked before the run, as in a user's run."""
     since: NotNegative = ONSET
-    """[s] from which it acts; 0 for what is wrong from the start."""
-    encoders: dict[str, Any] | None = None
-    """Keys of `sensors`, for a loop with encoders and commands a tick late; null for ideal sensors."""
+    """[s] onset of the fault; 0 for a fault from the start."""
+    encoders: Keys | None = None
+    """Keys of `sensors`, for a loop with encoders and a command delay of one tick; null for ideal sensors."""
     within: NotNegative | None = None
-    """[s] within which a monitor trips, from the limits of the layer alone; null where it takes as long as the motion
-    and the robot take to show it."""
+    """[s] largest latency of the trip, if the limits of the safety layer determine it; null if it depends on motion
+    and robot."""
 
-    def in_motion(self, motion: str, base: Scenario) -> dict[str, Any]:
-        """Scenario key -> value for this fault during a motion of `MOTIONS`, in the size of the robot of `base`."""
-        reference: Mapping[str, Any] = scale_to_robot({"reference": MOTIONS[motion]}, base)["reference"]
+    def in_motion(self, motion: str, base: Scenario) -> dict[str, object]:
+        """Scenario key -> value for this fault during a motion of `MOTIONS`, scaled to the robot of `base`."""
+        reference = scale_to_robot({"reference": MOTIONS[motion]}, base)["reference"]
         if self.drift is not None:
             home = base.robot.home_pose.tolist()
             away = [a + b for a, b in zip(home, LENGTH.value(self.drift, base.robot), strict=True)]
             path = {"kind": "minimum_jerk", "poses": [home, away], "durations": [self.drift_time], "dwell": [ONSET]}
             reference = {"kind": "sum", "parts": [reference, path]}
-        changes: dict[str, Any] = {"reference": dict(reference), **scale_to_robot(self.changes, base)}
+        changes = {"reference": reference, **scale_to_robot(self.changes, base)}
         if self.encoders is not None:
-            # Commands of a real drive are a tick old; with encoders it has to be shown that the loop bears both.
+            # A real drive has encoders and commands that are a tick late.
             changes |= {"sensors": {"kind": "encoders", **self.encoders}, "command_delay": 1}
         return changes
 
 
 def base(robot: str | None = None, overrides: Sequence[str] = (), trust_code: bool = False) -> Scenario:
-    """The exact-model LQI of `exact_fig7` behind the safety layer; with another robot, and `key=value` overrides."""
+    """The exact-model LQI of `exact_fig7` with the safety layer, another robot and `key=value` overrides."""
     named = () if robot is None else (f"robot={robot}",)
     loaded = load_scenario("exact_fig7", (*named, *overrides), trust_code)
     return loaded.replace({"duration": DURATION, "safety": {}})
 
 
 FAULTS = {name: FaultCase.from_dict({"name": name, **keys}, f"faults.{name}") for name, keys in _FILE["faults"].items()}
-_WORST = {"hold": "held", "ramp": "ramped", "safe_hold": "ramped", "end": "ended"}
-_HELD = (
+_REACTION_OF_LEVEL = {"hold": "held", "ramp": "ramped", "safe_hold": "ramped", "end": "ended"}
+_HOLDABLE = (
     Column("holds_weight", "", "whether the other motors carry the robot at rest; null without a dead motor", "flag"),
     Column("support_newton", "N", "smallest external force with which they do"),
     Column("force_newton", "N", "largest external force that they hold; null if they cannot carry the weight"),
-    Column("moment_newton_metre", "N m", "largest external moment that they hold, likewise"),
+    Column("moment_newton_metre", "N m", "largest external moment that they hold; null likewise"),
 )
 COLUMNS = (
     Column("fault", "", "name of the fault", "text"),
@@ -117,26 +115,26 @@ COLUMNS = (
     Column("safety_cause", "", "cause of the trip, if an estimator or controller failed", "text"),
     Column("safety_leg", "", "leg 0..5 of the trip", "integer"),
     Column("latency_ms", "ms", "time from the fault to the trip"),
-    Column("travel_deg", "deg", "see `travel`, of the rotation"),
-    Column("travel_mm", "mm", "of the position likewise"),
-    Column("stop_deg", "deg", "the same of a plain stop at the onset, with sensors that work"),
-    Column("stop_mm", "mm", "likewise"),
+    Column("travel_deg", "deg", "rotation error, see `travel`"),
+    Column("travel_mm", "mm", "position error, see `travel`"),
+    Column("stop_deg", "deg", "rotation error after a plain stop at the onset, with working sensors"),
+    Column("stop_mm", "mm", "position error after such a stop"),
     Column("peak_torque", "N m", "largest motor torque after the fault, within its limit"),
-    *_HELD,
+    *_HOLDABLE,
 )
 
 
 class FaultStudy(Experiment):
     def tables(self, rows: list[Row]) -> Tables:
         reactions = ("refused" if row["status"] == "rejected" else row["status"] for row in rows)
-        return super().tables([{"reaction": each, **row} for each, row in zip(reactions, rows, strict=True)])
+        return super().tables([{"reaction": name, **row} for name, row in zip(reactions, rows, strict=True)])
 
     def sheet(self, rows: Sequence[Row]) -> TextTable:
-        """The table, and below it the sizes of faults that are not as their names and texts say."""
+        """The table, with notes on faults that were scaled to the robot."""
         table, faults = sheet(rows), (FAULTS[name] for name in dict.fromkeys(row["fault"] for row in rows))
         sizes = {fault.name: _sizes(fault.changes, scale_to_robot(fault.changes, self.base)) for fault in faults}
-        sized = [f"{name} on this robot: {', '.join(each)}" for name, each in sizes.items() if each]
-        return table._replace(notes=[*table.notes, *sized])
+        notes = [f"{name} on this robot: {', '.join(texts)}" for name, texts in sizes.items() if texts]
+        return table._replace(notes=[*table.notes, *notes])
 
     def page(self, rows: Mapping[str, list[Row]]) -> str:
         table, lines = rows["faults"], []
@@ -154,11 +152,11 @@ class FaultStudy(Experiment):
 
 
 def _sizes(value: Any, scaled: Any, key: str = "") -> list[str]:
-    """Numbers of plain values that differ from those of a fault as written, each behind its key."""
+    """Keys and values of the numbers that were changed by scaling."""
     if isinstance(value, Mapping):
         return [text for name in value for text in _sizes(value[name], scaled[name], f"{key}.{name}".strip("."))]
     if isinstance(value, list):
-        return [text for at, each in enumerate(value) for text in _sizes(each, scaled[at], f"{key}[{at}]")]
+        return [text for k, item in enumerate(value) for text in _sizes(item, scaled[k], f"{key}[{k}]")]
     return [] if scaled == value else [f"{key} {scaled:.3g}"]
 
 
@@ -191,11 +189,10 @@ def fault_study(
 
 def measure_fault(log: SimulationLog, fault: FaultCase) -> Row:
     trip = log.safety or dict.fromkeys(("cause", "leg", "time"))
-    # Rows at which a log stands are those of the safety layer's ticks.
     torque = np.abs(log["torque_applied"][log.time >= fault.since - 1e-9])
     if log.safety is not None:
-        # The layer gave up, or the plant broke under it: a crank that has lost its rod may spin up to that.
-        reaction = "ended" if log.status == "failed" else _WORST[log.safety["worst"]]
+        # The plant may fail while the layer acts: a crank without a rod spins up.
+        reaction = "ended" if log.status == "failed" else _REACTION_OF_LEVEL[log.safety["worst"]]
     elif log.status == "failed":
         reaction = "broke"
     else:
@@ -214,53 +211,54 @@ def measure_fault(log: SimulationLog, fault: FaultCase) -> Row:
     }
 
 
-BRAKES, AT_REST = 0.05, 1e-3
-"""[s] that brakes take to close, assumed; [rad/s] crank speed below which a robot is at rest."""
+BRAKE_DELAY = 0.05  # [s] until brakes are closed, assumed.
+REST_SPEED = 1e-3  # [rad/s] of a crank; slower is at rest.
 
 
 def travel(log: SimulationLog, since: float) -> tuple[float, float]:
-    """How far the platform truly goes from where it should be [rad, m], from a time [s] until all is at rest.
+    """Largest error of the true pose [rad, m] from the time `since` [s] until the robot is at rest.
 
-    Where it should be is the reference while the controller is in charge, and then where that was when the safety layer
-    took over. After the end of a run that the layer or the plant ended, brakes close: each holds its crank by dry
-    friction as large as the motor's limit. The motors hold until then, or are off where the layer gave up.
+    The error is relative to the reference, which stays constant once the safety layer has taken over. If the safety
+    layer or the plant ended the run, brakes close then: dry friction as large as the motor's limit. Until they are
+    closed the motors hold, or are off if the layer gave up.
     """
-    pose, wanted = log["pose"], log["reference"].copy()
+    pose, desired = log["pose"], log["reference"].copy()
     if "safety" in log.signals and (taken := log["safety"][:, 0] >= RAMP).any():
-        wanted[taken] = wanted[int(taken.argmax())]
+        desired[taken] = desired[int(taken.argmax())]
     if log.status in ("stopped", "failed"):
         braked = _braked(log)
-        pose, wanted = np.concatenate([pose, braked]), np.concatenate([wanted, np.tile(wanted[-1], (len(braked), 1))])
+        desired = np.concatenate([desired, np.tile(desired[-1], (len(braked), 1))])
+        pose = np.concatenate([pose, braked])
     counted = np.append(log.time, np.full(len(pose) - len(log.time), np.inf)) >= since - 1e-9
-    turned, moved = pose_distance(pose[counted], wanted[counted])
+    turned, moved = pose_distance(pose[counted], desired[counted])
     return float(turned.max(initial=0.0)), float(moved.max(initial=0.0))
 
 
 def _braked(log: SimulationLog) -> np.ndarray:
-    """Poses (n, 6) after a run's end, without torque from the motors, until brakes have brought the robot to rest."""
+    """Poses (n, 6) after the end of a run, with motors off, until brakes have stopped the robot."""
     scenario, step, robot, poses = log.scenario, log.scenario.plant.time_step, log.scenario.robot, []
-    if (closed := scenario.plant.braked(robot)) is None:
+    options = scenario.plant
+    if not isinstance(options, MechanismOptions):
         return np.empty((0, 6))
-    open_for = 0 if log.status == "stopped" else round(BRAKES / step)
-    options: tuple[Any, ...] = scenario.plant, closed
-    plant, held = (ClosedForm(robot, each, scenario.gravity) for each in options)
-    nothing = np.zeros(6)
-    # A robot that has gone through a singularity moves no farther here.
+    open_for = 0 if log.status == "stopped" else round(BRAKE_DELAY / step)
+    plant, braked = (ClosedForm(robot, each, scenario.gravity) for each in (options, options.braked(robot)))
+    zero = np.zeros(6)
+    # Poses end at a singularity.
     with suppress(StewartDrakeError):
         measured = plant.initial(log["pose"][-1], log["pose_rate"][-1])
         for tick in range(open_for + round(0.5 / step)):
             if tick == open_for:
-                measured, plant = held.restore(plant.save()), held
-            if tick >= open_for and (np.abs(measured[CRANK_RATES]) < AT_REST).all():
+                measured, plant = braked.restore(plant.save()), braked
+            if tick >= open_for and (np.abs(measured[CRANK_RATES]) < REST_SPEED).all():
                 break
-            measured = plant.step(nothing, nothing)
+            measured = plant.step(zero, zero)
             poses.append(measured[POSE].copy())
     return np.array(poses).reshape(-1, 6)
 
 
 def stopped_at(scenario: Scenario, onset: float) -> Scenario:
-    """The same run with sensors that work and a plain stop at a time [s]: a command that is none is not held."""
-    changes: dict[str, Any] = {"link": {"faults": [{"kind": "nan", "time": onset}]}, "safety.hold_ticks": 0}
+    """The same run with working sensors and a plain stop at `onset` [s], by a missing command that is not held."""
+    changes = {"link": {"faults": [{"kind": "nan", "time": onset}]}, "safety.hold_ticks": 0}
     return scenario.replace({**changes, "sensors.faults": []})
 
 
@@ -279,36 +277,36 @@ def _held(log: SimulationLog) -> Row:
     shares = robot.effort_shares
     try:
         weight, jacobian = static_torque(robot, pose, scenario.gravity), twist_jacobian(robot, pose)
-        # Each motor in parts of what it can, times one number for all.
+        # Torques as shares of the motors' limits.
         load = holdable_load(weight / shares, shares[:, None] * jacobian, robot.effort_limit, dead.leg)
     except (UnreachablePoseError, np.linalg.LinAlgError):
         return {}
-    return dict(zip((column.name for column in _HELD), load, strict=True))
+    return dict(zip((column.name for column in _HOLDABLE), load, strict=True))
 
 
 def holdable_load(
     weight: np.ndarray, jacobian: np.ndarray, limit: float, dead: int
 ) -> tuple[bool, float, float | None, float | None]:
-    """Whether five motors hold G = `weight` (6,) [N m] at rest, and what else they hold.
+    """Whether five motors hold G = `weight` (6,) [N m] at rest, and which external loads they hold.
 
     At rest T = G - J^-T w for an external wrench w on the platform, J = d(theta)/d(twist) (6, 6), and T must vanish at
-    the dead motor: any load must lie in the one plane where they agree. `limit` [N m] is that of each motor.
+    the dead motor, so loads lie in a plane. `limit` [N m] is that of every motor.
 
     Returns:
-        Whether they hold the weight alone; [N] the smallest force at P with which they do, infinite where none helps;
-        [N] largest force at P and [N m] largest moment that they hold, None where the weight alone is too much.
+        Whether they hold the weight alone; [N] the smallest force at P with which they do, infinite if there is none;
+        [N] largest force at P and [N m] largest moment that they hold, None if the weight alone is too much.
     """
     by_moment, by_force = np.split(-np.linalg.inv(jacobian.T), 2, axis=1)
-    most = limit * (1.0 + 1e-9)
+    largest = limit * (1.0 + 1e-9)
 
     legs = np.array([(dead, *pair) for pair in combinations([leg for leg in range(6) if leg != dead], 2)])
     bounds = limit * np.array([(0, *signs) for signs in product((1, -1), repeat=2)])
 
     def sizes(by_load: np.ndarray) -> np.ndarray:
-        wanted = bounds - weight[legs][:, None]
-        loads = (wanted @ np.linalg.pinv(by_load[legs]).swapaxes(1, 2)).reshape(-1, 3)
+        needed = bounds - weight[legs][:, None]
+        loads = (needed @ np.linalg.pinv(by_load[legs]).swapaxes(1, 2)).reshape(-1, 3)
         torque = weight + loads @ by_load.T
-        holds = (np.abs(torque[:, dead]) < 1e-9 * limit) & (np.abs(torque) <= most).all(axis=1)
+        holds = (np.abs(torque[:, dead]) < 1e-9 * limit) & (np.abs(torque) <= largest).all(axis=1)
         return np.linalg.norm(loads[holds], axis=1)
 
     if abs(weight[dead]) < 1e-9 * limit and bool((np.abs(weight) <= limit).all()):
@@ -316,7 +314,7 @@ def holdable_load(
     # The smallest force in the polygon: the nearest in its plane, or else one of its corners.
     normal = by_force[dead]
     load = -weight[dead] * normal / (normal @ normal)
-    if (np.abs(weight + by_force @ load) <= most).all():
+    if (np.abs(weight + by_force @ load) <= largest).all():
         return False, float(np.linalg.norm(load)), None, None
     return False, float(sizes(by_force).min(initial=np.inf)), None, None
 
@@ -354,7 +352,7 @@ def sheet(rows: Sequence[Row]) -> TextTable:
 
 def _largest(rows: Sequence[Row], **columns: str) -> str:
     values = {unit: [row[name] for row in rows if row.get(name) is not None] for unit, name in columns.items()}
-    return ", ".join(f"{max(each):.1f} {unit}" for unit, each in values.items() if each) or "-"
+    return ", ".join(f"{max(numbers):.1f} {unit}" for unit, numbers in values.items() if numbers) or "-"
 
 
 def _end(rows: Sequence[Row]) -> str:
@@ -363,7 +361,7 @@ def _end(rows: Sequence[Row]) -> str:
         return "refused"
     trip = ""
     if row.get("safety_monitor") is not None:
-        # What chance brings, such as ticks lost in a row, has a time but no latency.
+        # A random fault, such as lost ticks, has no onset and so no latency.
         when = f", {row['latency_ms']:.0f} ms" if FAULTS[row["fault"]].since > 0.0 else ""
         leg = "" if row["safety_leg"] is None else f", leg {row['safety_leg']}"
         trip = f" ({row['safety_monitor']}{when}{leg})"

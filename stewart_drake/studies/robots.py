@@ -1,4 +1,4 @@
-"""Robots of other sizes: the changes of a study, made for the paper's, in the size of another."""
+"""Scales the changes of a study, written for the paper's robot, to a robot of another size."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from stewart_drake.scenario.limits import ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
 
 MARGIN = 0.7
-"""Of the largest feasible size of a motion, where it is not feasible as it stands: the controller's lag needs room."""
+"""Share of the largest feasible size that an infeasible motion gets: the controller's lag needs room."""
 _TORQUES = {
     *(("plant", key) for key in ("motor_friction", "coulomb", "break_away")),
     *(("motors", "ripple"), ("motors", "resolution"), ("link", "size")),
@@ -26,23 +26,24 @@ _TORQUES = {
 _WRENCHES = {("disturbances", key) for key in ("wrench", "impulse", "rms")}
 
 
-def scale_to_robot(changes: Mapping[str, Any], base: Scenario) -> dict[str, Any]:
-    """Scenario key -> value as it is for the robot of `base`; the same for the paper's.
+def scale_to_robot(changes: Mapping[str, object], base: Scenario) -> dict[str, object]:
+    """Scenario key -> value, scaled to the robot of `base`; unchanged for the paper's robot.
 
-    Torques go with the effort limit, lengths with the characteristic length, payloads with the platform's mass.
+    Torques scale with the effort limit, lengths with the characteristic length, payloads with the platform's mass.
     """
     if base.robot == PAPER:
         return dict(changes)
-    made = {key: _scaled(key.split("."), value, base.robot) for key, value in changes.items()}
-    if "reference" in made:
-        duration = float(made.get("duration", base.duration))
-        reference: Any = base.replace({"reference": made["reference"]}).reference
-        made["reference"] = to_plain(_fit_reference(base.robot, base.limits, reference, duration, base.gravity))
-    return made
+    scaled = {key: _scaled(key.split("."), value, base.robot) for key, value in changes.items()}
+    if "reference" in scaled:
+        moved = base.replace({key: scaled[key] for key in ("reference", "duration") if key in scaled})
+        reference: Any = moved.reference
+        fitted = _fit_reference(base.robot, base.limits, reference, moved.duration, base.gravity)
+        scaled["reference"] = to_plain(fitted)
+    return scaled
 
 
-def _scaled(path: list[str], value: Any, robot: RobotParameters) -> Any:
-    """A value at a key, or a section whose values are sized one by one."""
+def _scaled(path: list[str], value: Any, robot: RobotParameters) -> object:
+    """A scaled value, or a section with scaled values, at the parts of a key."""
     if path == ["initial_offset"]:
         return list(LENGTH.value(tuple(value), robot))
     section = "model.robot" if path[:2] == ["model", "robot"] else path[0]
@@ -51,14 +52,14 @@ def _scaled(path: list[str], value: Any, robot: RobotParameters) -> Any:
         if factor is not None:
             return (np.array(value) * factor).tolist()
     if isinstance(value, Mapping):
-        return {key: _scaled([*path, key], each, robot) for key, each in value.items()}
+        return {key: _scaled([*path, key], item, robot) for key, item in value.items()}
     if isinstance(value, list):
-        return [_scaled(path, each, robot) if isinstance(each, Mapping) else each for each in value]
+        return [_scaled(path, item, robot) if isinstance(item, Mapping) else item for item in value]
     return value
 
 
-def _factor(section: str, key: str, robot: RobotParameters) -> Any:
-    """By what a value grows from the paper's robot to another; None for not at all."""
+def _factor(section: str, key: str, robot: RobotParameters) -> float | np.ndarray | None:
+    """Ratio of a value between a robot and the paper's; None for a value that does not scale."""
     torque = robot.effort_limit / PAPER.effort_limit
     length = robot.characteristic_length / PAPER.characteristic_length
     if section == "model.robot":
@@ -75,7 +76,7 @@ def _factor(section: str, key: str, robot: RobotParameters) -> Any:
 def _fit_reference(
     robot: RobotParameters, limits: ReferenceLimits, reference: Any, duration: float, gravity: float
 ) -> Reference:
-    """A motion about the robot's home, made smaller where it is not feasible."""
+    """A motion about the robot's home pose, made smaller if it is not feasible."""
     home = tuple(robot.home_pose.tolist())
     if not np.allclose(center_of(reference), home, rtol=0.0, atol=1e-9):
         if isinstance(reference, SumReference):

@@ -1,4 +1,4 @@
-"""One run in, one row out, whatever happens in it; rows are kept in a folder as they come."""
+"""Runs a scenario as a row of a table, also if the run fails, and keeps the rows in a folder as they come."""
 
 from __future__ import annotations
 
@@ -35,24 +35,24 @@ from stewart_drake.logs.metrics import MetricError, columns, flat, run_cost, run
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.runs.outputs import prepare_folder
 from stewart_drake.scenario.scenario import Scenario
-from stewart_drake.studies.workers import DEAD, Workers, run_jobs
+from stewart_drake.studies.workers import DIED_TWICE, Workers, run_jobs
 
-Row = dict[str, Any]
+Row = dict[str, Any]  # Column -> value.
 Measure = Callable[[SimulationLog], Row]
-"""Figures of a log, in values that JSON has; a function that the workers can import."""
+"""Figures of a log as JSON values, by a function that the workers can import."""
 RunFunction = Callable[[Scenario], SimulationLog]
 
 ROWS, HEADER = "rows.jsonl", "study.json"
-CODE = ("stewart-drake", "drake", "numpy", "scipy", "source")  # Versions on which every number depends
-MAX_MESSAGE = 500
-TRACE_POINTS = 240  # Of the error over time that a row keeps; each the largest error of its share of the run
+VERSIONS = ("stewart-drake", "drake", "numpy", "scipy", "source")  # Versions on which every number depends.
+MAX_MESSAGE = 500  # Characters.
+TRACE_POINTS = 240  # Points of the error over time in a row, the largest error of their parts of the run.
 
 
-def simulate(scenario: Scenario, **options: Any) -> SimulationLog:
-    """`simulation.run`, which takes the options; a run that was interrupted is no result and raises."""
+def simulate(scenario: Scenario, check: bool = True) -> SimulationLog:
+    """Runs a scenario, see `simulation.run`; raises KeyboardInterrupt if the run was interrupted."""
     from stewart_drake.runs.simulation import run
 
-    log = run(scenario, **options)
+    log = run(scenario, check=check)
     if log.status == "interrupted":
         raise KeyboardInterrupt
     return log
@@ -85,7 +85,7 @@ def measure_cost(log: SimulationLog, scales: CostScales) -> Row:
 
 
 def measure_tracking(log: SimulationLog, band: float, scales: CostScales | None = None) -> Row:
-    """All figures of a run, settling into `band` [mm], its cost and the trace of its error."""
+    """All figures of a run, its settling time into `band` [mm], its cost and the trace of its error."""
     rotation, position = log.error_norms
     pose = np.hypot(1e3 * log.scenario.robot.characteristic_length * np.radians(rotation), position)
     figures = measure_all(log)
@@ -112,7 +112,7 @@ def measure_response(log: SimulationLog, frequency: float, axis: int, window: fl
 
 
 def settling_time(time: np.ndarray, size: np.ndarray, band: float) -> float | None:
-    """Time after which `size` stays within `band`: 0 where it never leaves it, None where it ends outside."""
+    """Time after which `size` stays within `band`: 0 if it never leaves it, None if it ends outside."""
     outside = ~(size <= band)
     if not len(time) or outside[-1]:
         return None
@@ -125,30 +125,26 @@ def settling_time(time: np.ndarray, size: np.ndarray, band: float) -> float | No
 
 @dataclass(frozen=True)
 class Trial:
-    """A run of a scenario in plain values with some keys changed, and what is measured of it.
+    """A run of a scenario with some keys changed, and the measure of its log."""
 
-    `key` tells it from the others of an experiment, `labels` are columns of its row.
-    """
-
-    key: str
-    base: Mapping[str, Any]
-    changes: Mapping[str, Any]
-    labels: Mapping[str, Any] = field(default_factory=dict)
+    key: str  # Unique in an experiment.
+    base: Mapping[str, object]  # Scenario in plain values.
+    changes: Mapping[str, object]  # Scenario key -> value.
+    labels: Mapping[str, object] = field(default_factory=dict)  # Further columns of the row.
     measure: Measure = measure_all
     function: RunFunction = simulate
-    trust_code: bool = False
-    """Whether code that the changes name may run."""
+    trust_code: bool = False  # Whether code that the changes name may run.
 
     def scenario(self) -> Scenario:
         return Scenario.from_dict(self.base).replace(self.changes, self.trust_code)
 
 
 def execute(trial: Trial) -> Row:
-    """Runs a trial and turns whatever comes of it into a row, in values that strict JSON has."""
+    """Runs a trial; its result or its error becomes a row of strict JSON values."""
     start, figures = time.perf_counter(), Row()
     try:
         log = trial.function(trial.scenario())
-        # A finite blow-up overflows in the squares; its row says so.
+        # Squares of large numbers may overflow; `not_finite` in the row shows it.
         with np.errstate(all="ignore"):
             figures = {**ending(log.status, log.reason, log.message), **trial.measure(log)}
     except KeyboardInterrupt:
@@ -159,7 +155,7 @@ def execute(trial: Trial) -> Row:
         figures = {**ending("failed", error.reason, str(error)), "end_time": error.time, "leg": error.leg}
     except MetricError as error:
         figures = ending("raised", error.reason, str(error))
-    except BaseException as error:  # SystemExit, MemoryError and the like: a row each
+    except BaseException as error:  # Also SystemExit and MemoryError.
         name = type(error).__name__
         figures = ending("raised", name, f"{str(error) or name}{raised_at(error)}")
     named = figures.pop(NOT_FINITE, {})
@@ -170,7 +166,7 @@ def execute(trial: Trial) -> Row:
 
 
 def ending(status: str, reason: str | None, message: str | None) -> Row:
-    # Below the first line is the traceback of a user's code, which a log keeps.
+    # Further lines are the traceback of a user's code, which is in the log.
     text = None if not message else " ".join(message.splitlines()[0].split())[:MAX_MESSAGE]
     return {"status": status, "reason": reason, "message": text}
 
@@ -179,15 +175,15 @@ def ending(status: str, reason: str | None, message: str | None) -> Row:
 
 
 class RowStore:
-    """Rows of trials in a folder, which is this process's alone within the context: a sealed line each.
+    """Rows of trials in a folder, as sealed lines of a file; the folder is locked within the context.
 
-    A line begins with the digest of what is done. One that was damaged, or never finished, is run again.
+    The key of a line has the digest of the identity. Damaged or incomplete lines are dropped and run again.
     """
 
     def __init__(
         self,
         folder: Path,
-        identity: Mapping[str, Any],
+        identity: Mapping[str, object],
         workers: Workers | None = None,
         progress: Callable[[float], None] | None = None,
         restart: bool = False,
@@ -217,12 +213,12 @@ class RowStore:
             self._open = opened.pop_all()
         return self
 
-    def __exit__(self, *details: Any) -> None:
-        self._open.__exit__(*details)
+    def __exit__(self, *_: object) -> None:
+        self._open.close()
 
     def rows(self, trials: Sequence[Trial]) -> list[Row]:
-        """Rows of some trials with their labels; only those that are missing are run, and each of a key once."""
-        trials = list(trials)  # Those of a sweep are drawn as they are asked for.
+        """Rows of some trials with their labels; runs the missing ones, one per key."""
+        trials = list(trials)  # Trials of a sweep are drawn at this point.
         keys = [f"{self._digest}/{trial.key}" for trial in trials]
         missing = {key: trial for key, trial in zip(keys, trials, strict=True) if key not in self._kept}
 
@@ -236,14 +232,14 @@ class RowStore:
             self._progress(float(self._done))
 
         def died(_: str) -> Row:
-            return ending("failed", "worker_died", DEAD)
+            return ending("failed", "worker_died", DIED_TWICE)
 
         advance(len(keys) - len(missing))
         run_jobs(missing, lambda key: (execute, (missing[key],)), keep, self._workers, died)
         return [{**plain_json(trial.labels), **self._kept[key]} for key, trial in zip(keys, trials, strict=True)]
 
     def _keep(self, line: bytes) -> bool:
-        """Takes the row of a line that is whole and as it was written."""
+        """Reads the row of a line; returns whether the line is complete and unchanged."""
         with suppress(ConfigurationError):
             row = unseal(line if line.endswith(b"\n") else b"", ROWS, "a study")
             self._kept[row.pop("key")] = row
@@ -253,26 +249,26 @@ class RowStore:
     def _refuse_another(self) -> None:
         header = self.folder / HEADER
         try:
-            there = header.exists() or (self.folder / ROWS).exists()
-            before = json.loads(header.read_bytes()) if there else self._identity
-            unlike = _unlike(before, self._identity)
+            exists = header.exists() or (self.folder / ROWS).exists()
+            before = json.loads(header.read_bytes()) if exists else self._identity
+            changed = _changed_keys(before, self._identity)
         except (OSError, ValueError, RecursionError, AttributeError):
-            unlike = [f"{HEADER}, which cannot be read"]
-        # Rows know too what they are of.
-        if unlike and not any(key.startswith(self._digest) for key in self._kept):
+            changed = [f"{HEADER}, which cannot be read"]
+        # The keys of rows have the digest too.
+        if changed and not any(key.startswith(self._digest) for key in self._kept):
             allowed = "a new folder, or one with the same study by the same version; --restart replaces it"
-            raise ConfigurationError("--out", str(self.folder), f"{allowed}; it differs in {', '.join(unlike[:5])}")
+            raise ConfigurationError("--out", str(self.folder), f"{allowed}; it differs in {', '.join(changed[:5])}")
 
 
-def _unlike(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """Keys of what is not the same now; the names of files that are not."""
+def _changed_keys(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Keys with other values, and in place of `files` the names of changed files."""
     keys = [key for key, value in now.items() if before.get(key) != value]
     files = [name for name, digest in now["files"].items() if before.get("files", {}).get(name) != digest]
     return [*(key for key in keys if key != "files"), *(files or ["files"] * ("files" in keys))]
 
 
-def identity(work: Mapping[str, Any], scenarios: Iterable[Scenario] = ()) -> dict[str, Any]:
-    """What results depend on, so that kept ones are known again: the work, its files, weights, the code."""
+def identity(work: Mapping[str, object], scenarios: Iterable[Scenario] = ()) -> dict[str, object]:
+    """All that rows depend on: the work, its files, weights, columns, the user's kinds, and versions."""
     versions = collect_versions()
     texts = {text for scenario in scenarios if (text := scenario.tuner.content()) is not None}
     return {
@@ -280,6 +276,6 @@ def identity(work: Mapping[str, Any], scenarios: Iterable[Scenario] = ()) -> dic
         "files": file_digests(work),
         "weights": sorted(map(checksum, texts)),
         "columns": checksum([asdict(column) for column in columns(*scenarios)])[:8],
-        "kinds": checksum([each.added_code() for each in REGISTERED])[:8],
-        "versions": {name: versions[name] for name in CODE},
+        "kinds": checksum([family.added_code() for family in REGISTERED])[:8],
+        "versions": {name: versions[name] for name in VERSIONS},
     }

@@ -1,4 +1,4 @@
-"""A sweep as typed YAML: a scenario, what is fixed in it, what its other keys are drawn from; its table."""
+"""A sweep: runs of a scenario whose keys are drawn from distributions or grids, and its table."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ BEFORE = (
 class _Distribution(Section):
     kind: str
     factor: Flag = False
-    """Whether the drawn number multiplies the scenario's value instead of replacing it; all components of a list."""
+    """Whether the drawn number multiplies the scenario's value (all components of a list) instead of replacing it."""
 
     @abstractmethod
-    def at(self, quantile: float) -> Any:
-        """The value below which the share `quantile`, from 0 to below 1, of the distribution lies."""
+    def at(self, quantile: float) -> object:
+        """The value at a quantile from 0 to below 1."""
 
 
 class _Between(_Distribution):
@@ -85,13 +85,13 @@ class LogUniform(_Between):
 
 
 class Normal(_Distribution):
-    """Normal distribution, truncated at `low` and `high` where they are given."""
+    """Normal distribution, truncated at `low` and `high` if they are given."""
 
     kind: Literal["normal"] = "normal"
     mean: Real
-    """The mean, before it is truncated."""
+    """The mean before truncation."""
     std: Positive
-    """The standard deviation, before it is truncated."""
+    """The standard deviation before truncation."""
     low: Real | None = None
     """The lowest value; null for none."""
     high: Real | None = None
@@ -106,7 +106,7 @@ class Normal(_Distribution):
 
         low = -math.inf if self.low is None else (self.low - self.mean) / self.std
         high = math.inf if self.high is None else (self.high - self.mean) / self.std
-        # Below 2^-53 there are no quantiles but 0, which is infinitely far.
+        # Quantile 0 is infinitely far; the next one is 2^-53.
         return self.mean + self.std * float(truncnorm.ppf(max(quantile, 2.0**-54), low, high))
 
 
@@ -128,27 +128,25 @@ class Choice(_Distribution):
 
     kind: Literal["choice"] = "choice"
     values: Annotated[tuple[Any, ...], Field(min_length=1, max_length=100_000)]
-    """What is taken: numbers, with a unit too, texts, truth values, lists or sections."""
+    """Numbers, also with a unit, texts, truth values, lists or sections."""
 
     def rules(self) -> None:
         check_plain("values", self.values)
-        if self.factor and not all(
-            isinstance(each, (int, float)) and not isinstance(each, bool) for each in self.values
-        ):
+        if self.factor and any(isinstance(item, bool) or not isinstance(item, (int, float)) for item in self.values):
             raise ConfigurationError("values", self.values, "numbers, to multiply by")
 
-    def at(self, quantile: float) -> Any:
+    def at(self, quantile: float) -> object:
         return self.values[int(quantile * len(self.values))]
 
 
 class Grid(Choice):
-    """Each of `values` in turn; several grids of a sweep run through all their combinations, the first key fastest."""
+    """All `values` in turn; several grids run through all their combinations, the first key fastest."""
 
     kind: Literal["grid"] = "grid"  # type: ignore[assignment]
 
 
 Distribution = Uniform | LogUniform | Normal | Integers | Choice | Grid
-DISTRIBUTIONS = Family({each.__pydantic_fields__["kind"].default: each for each in get_args(Distribution)})
+DISTRIBUTIONS = Family({kind.__pydantic_fields__["kind"].default: kind for kind in get_args(Distribution)})
 
 
 class SweepFile(StudyFile):
@@ -160,8 +158,8 @@ class SweepFile(StudyFile):
     seed: Seed = 0
     """Seed of everything random."""
     mismatch: Flag = False
-    """Whether the controller goes on believing what it believes in the scenario, of robot, servos, gravity, noise,
-    delay and age of readings, while these vary: they become keys of `model`, where the scenario has none of its own."""
+    """Whether the controller's model of robot, servos, gravity, noise, delay and age of readings stays that of the
+    scenario while these vary: they become keys of `model`, unless the scenario sets them there."""
     distributions: dict[Text, Annotated[Distribution, DISTRIBUTIONS]]
     """Scenario key -> distribution. A component of a list is `initial_offset[0]`, or `disturbances[0].wrench[3]`."""
 
@@ -171,25 +169,25 @@ class SweepFile(StudyFile):
 
 
 class Draws(Sequence[Trial]):
-    """Trials of a sweep; the draws for run i follow from the file's `seed`, i and the key alone."""
+    """Trials of a sweep; the draws for run i depend only on the file's `seed`, i and the key."""
 
     def __init__(self, base: Scenario, file: SweepFile, count: int, trust_code: bool) -> None:
         self.base, self.file, self._count, self._given = base, file, count, given_keys(base)
         self._trust_code = trust_code
         data = base.in_full()
         with error_prefix("distributions."):
-            self._values = {key: value_at(data, key) for key in file.distributions}
+            self._values: dict[str, Any] = {key: value_at(data, key) for key in file.distributions}
         for key, distribution in file.distributions.items():
             self._check(key, distribution)
 
     def __len__(self) -> int:
         return self._count
 
-    def __getitem__(self, index: Any) -> Any:
+    def __getitem__(self, index: int) -> Trial:  # type: ignore[override]
         return self.trial(range(self._count)[index])
 
     def trial(self, number: int) -> Trial:
-        """Run `number`, from 0 on; also one beyond those of the sweep."""
+        """Trial `number`, from 0; also beyond the number of runs."""
         drawn = self.draw(number)
         changes = self._changes(drawn)
         factors = {f"{key}.factor": value for key, value in drawn.items() if self.file.distributions[key].factor}
@@ -201,21 +199,22 @@ class Draws(Sequence[Trial]):
         state = np.random.SeedSequence(self.file.seed, spawn_key=(index,)).generate_state(1, np.uint64)
         return int(state[0] >> np.uint64(1))
 
-    def draw(self, index: int) -> dict[str, Any]:
-        seed, turn = self.run_seed(index), index
-        values: dict[str, Any] = {}
+    def draw(self, index: int) -> dict[str, object]:
+        """Scenario key -> drawn value or factor."""
+        seed, rest = self.run_seed(index), index
+        values: dict[str, object] = {}
         for key, distribution in self.file.distributions.items():
             if isinstance(distribution, Grid):
-                turn, place = divmod(turn, len(distribution.values))
+                rest, place = divmod(rest, len(distribution.values))
                 values[key] = distribution.values[place]
             else:
-                # Random numbers of one key in one run: another key in the sweep changes nothing about them.
+                # The seed depends on run and key, so that a further key does not change other draws.
                 words = np.frombuffer(hashlib.sha256(key.encode()).digest()[:8], np.uint32).tolist()
                 rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(words)))
                 values[key] = distribution.at(rng.random())
         return values
 
-    def _changes(self, drawn: Mapping[str, Any]) -> dict[str, Any]:
+    def _changes(self, drawn: Mapping[str, Any]) -> dict[str, object]:
         factors = self.file.distributions
         return {
             key: (np.array(self._values[key]) * value).tolist() if factors[key].factor else value
@@ -235,7 +234,7 @@ class Draws(Sequence[Trial]):
         return varied
 
     def _check(self, key: str, distribution: Distribution) -> None:
-        """Refuses a distribution whose middle does not suit the key; other values that do not are rows of the table."""
+        """Refuses a distribution if its median does not suit the key; other unsuitable values become rejected rows."""
         current, where = self._values[key], f"distributions.{shorten(key)}"
         if isinstance(current, list) and not distribution.factor and not isinstance(distribution, Choice):
             raise ConfigurationError(where, key, f"a component such as {key}[0], or factor: true, or the kind choice")
@@ -250,65 +249,67 @@ class Draws(Sequence[Trial]):
 
 
 class Sweep(Experiment):
+    trials: Draws
+
     def figures(self, rows: Mapping[str, list[Row]]) -> Figures:
-        """The error against each key that was varied, or a map where two run through a grid."""
-        # matplotlib takes a second to load.
+        """Error against the varied keys, or a map if two keys have grids."""
+        # Here, because matplotlib takes a second to load.
         from stewart_drake.plotting.study_plots import plot_map, plot_sweep
 
-        given = {**self.work["distributions"]}
-        # Of a factor the factor is shown; a list has no axis.
-        names = {key: f"{key}.factor" if each["factor"] else key for key, each in given.items()}
+        given = self.trials.file.distributions
+        # A factor has a column with this name; a list cannot be an axis.
+        names = {key: f"{key}.factor" if drawn.factor else key for key, drawn in given.items()}
         kinds = {column.name: column.kind for column in self.columns}
         varied = {key: name for key, name in names.items() if kinds[name] != "json"}
         if not varied:
             return {}
-        units = {name: "" if given[key]["factor"] else unit_at(self.base, key) for key, name in varied.items()}
+        units = {name: "" if given[key].factor else unit_at(self.base, key) for key, name in varied.items()}
         labels = {name: f"{name} [{unit}]" if unit else name for name, unit in units.items()}
-        are_grids = len(given) == len(varied) == 2 and all(each["kind"] == "grid" for each in given.values())
+        are_grids = len(given) == len(varied) == 2 and all(isinstance(drawn, Grid) for drawn in given.values())
         return {"sweep": partial(plot_map if are_grids else plot_sweep, rows["sweep"], labels)}
 
 
-def make_sweep(data: Mapping[str, Any], folder: Path | None = None, trust_code: bool = False) -> Sweep:
-    """From plain values of a `SweepFile`; paths relative to `folder`."""
+def make_sweep(data: Mapping[str, object], folder: Path | None = None, trust_code: bool = False) -> Sweep:
+    """Sweep of the plain values of a `SweepFile`; paths relative to `folder`."""
     file, base = SweepFile.read("sweep", data, folder, trust_code)
     if file.mismatch:
-        belief, model = base.controller_model, base.model
-        kept = {"robot": base.to_dict()["robot"], "gravity": belief.gravity, "noise": belief.noise}
-        kept |= {"delay": belief.delay, "reading_age": belief.reading_age, "motors": belief.motors.to_dict()}
-        base = base.replace({f"model.{key}": value for key, value in kept.items() if getattr(model, key) is None})
-    values = {key: _without_units(base, key, each) for key, each in file.distributions.items()}
+        model, given = base.controller_model, base.model
+        kept = {"robot": base.to_dict()["robot"], "gravity": model.gravity, "noise": model.noise}
+        kept |= {"delay": model.delay, "reading_age": model.reading_age, "motors": model.motors.to_dict()}
+        base = base.replace({f"model.{key}": value for key, value in kept.items() if getattr(given, key) is None})
+    values = {key: _without_units(base, key, drawn) for key, drawn in file.distributions.items()}
     file = file.replace(distributions=values)
     runs = file.runs
     if runs is None:
-        grids = [len(each.values) for each in file.distributions.values() if isinstance(each, Grid)]
+        grids = [len(drawn.values) for drawn in file.distributions.values() if isinstance(drawn, Grid)]
         if not grids:
             raise ConfigurationError("runs", None, "a number of runs; optional only where a key has a grid")
         runs = math.prod(grids)
     draws = Draws(base, file, runs, trust_code)
     scenario = {key: value for key, value in base.to_dict().items() if key != "name"}
-    distributions = {key: each.to_dict() for key, each in file.distributions.items()}
+    distributions = {key: drawn.to_dict() for key, drawn in file.distributions.items()}
     return Sweep(
         kind="sweep",
         name=file.name,
         base=base,
         trials=draws,
         columns=(*BEFORE, *draws.columns, *run_columns(base), *INCIDENTAL),
-        # Not how many runs there are, nor a name.
+        # Rows do not depend on the number of runs or a name.
         work={"scenario": scenario, "seed": file.seed, "distributions": distributions},
         variants=(base,),
     )
 
 
 def _without_units(base: Scenario, key: str, distribution: Distribution) -> Distribution:
-    """With numbers in place of texts such as `100 g`; names stay names, and what is wrong stays as it is."""
-    if not isinstance(distribution, Choice) or not any(isinstance(each, str) for each in distribution.values):
+    """Replaces texts such as `100 g` by numbers; names and invalid values stay."""
+    if not isinstance(distribution, Choice) or not any(isinstance(item, str) for item in distribution.values):
         return distribution
     values = []
-    for each in distribution.values:
-        values.append(each)
+    for item in distribution.values:
+        values.append(item)
         with suppress(ConfigurationError):
-            value = value_at(with_changes(base, {key: each}).in_full(), key)
-            values[-1] = value if isinstance(value, (int, float)) else each
+            value = value_at(with_changes(base, {key: item}).in_full(), key)
+            values[-1] = value if isinstance(value, (int, float)) else item
     return distribution.replace(values=tuple(values))
 
 
@@ -318,10 +319,10 @@ def load_sweep(path: str | Path, runs: int | None = None, trust_code: bool = Fal
 
 
 def make_simulator(sweep: Experiment, **options: Any) -> Callable[[Callable[[], int]], Any]:
-    """A function `make_simulator(generator)` for Drake's `MonteCarloSimulation`: the loop of a run of a sweep.
+    """A function `make_simulator(generator)` for Drake's `MonteCarloSimulation`: a simulator of a run of a sweep.
 
-    The run is the one whose number is the generator's next number, so that `sweep.trials.trial(number)` is it again.
-    Options are those of `build_diagram`. The plant must be Drake's.
+    The run is `sweep.trials.trial(number)`, where `number` is the next number of the generator. The options are those
+    of `build_diagram`. The plant must be Drake's.
     """
     from pydrake.systems.analysis import Simulator
 
@@ -337,16 +338,16 @@ def summary(rows: Sequence[Row]) -> list[tuple[str, str]]:
     lines = [("runs", str(len(rows)))]
     for (status, reason), count in sorted(counts.items(), key=lambda item: (item[0][0] != "completed", -item[1])):
         lines.append((describe_outcome(status, reason), str(count)))
-    for unit, of in (("deg", "rotation"), ("mm", "position")):
+    for unit, name in (("deg", "rotation"), ("mm", "position")):
         values = [value for row in rows if (value := row.get(f"rmse_norm_{unit}")) is not None]
         if values:
             shares = "  ".join(f"{value:.4g}" for value in np.percentile(values, [50, 95, 99, 100]))
-            lines.append((f"RMSE of {of}, percentiles 50 95 99, largest", f"{shares} {unit}"))
+            lines.append((f"RMSE of {name}, percentiles 50 95 99, largest", f"{shares} {unit}"))
     return lines
 
 
 def column_of(distribution: Distribution) -> ValueKind:
-    """What a column must be to hold the values of a distribution as they are."""
+    """Type of a column that can hold the values of a distribution."""
     values = distribution.values if isinstance(distribution, Choice) else [distribution.at(0.5)]
     types = {type(value) for value in values}
     kinds: dict[ValueKind, set[type]] = {"flag": {bool}, "integer": {int}, "number": {int, float}, "text": {str}}

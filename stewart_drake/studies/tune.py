@@ -1,4 +1,4 @@
-"""The search for gains: CMA-ES over keys of each controller, every run kept as it comes; and its test afterwards."""
+"""The search for gains: CMA-ES over keys of controllers, with all runs kept, and a test of its result."""
 
 from __future__ import annotations
 
@@ -36,13 +36,12 @@ from stewart_drake.studies.experiment import (
 from stewart_drake.studies.runs import Row, Trial, measure_cost, simulate_unchecked
 from stewart_drake.studies.workers import Workers
 
-DIGITS = 4
+DIGITS = 4  # Significant digits of a setting.
 START, TUNED, SEARCHED = "start", "tuned", "tuned, as searched"
-"""What is tested: before, after, and the latter as the search has it."""
+"""Versions of a controller in the test; the last with `tune.set`."""
 _QUICK_GENERATIONS = 2
 
-Setting = dict[str, float]
-
+Setting = dict[str, float]  # Scenario key -> value.
 
 COLUMNS = (
     Column("controller", "", "name of the controller", "text"),
@@ -56,14 +55,13 @@ COLUMNS = (
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Tuning(Experiment):
-    """The search: its trials are those of one evaluation, its rows one for each evaluation."""
+    """The search: `trials` are those of one evaluation, and a row is an evaluation."""
 
-    data: Mapping[str, Any]
+    data: Mapping[str, Any]  # The comparison in plain values.
     options: TuneOptions
-    start: Mapping[str, Setting]
+    start: Mapping[str, Setting]  # By controller.
     generations: int
-    compare: Callable[[Mapping[str, Any]], Comparison]
-    """Of changes of `data`."""
+    compare: Callable[[Mapping[str, object]], Comparison]  # The comparison with other values of some keys.
 
     @classmethod
     def from_dict(
@@ -75,10 +73,10 @@ class Tuning(Experiment):
         quick: bool = False,
         trust_code: bool = False,
     ) -> Tuning:
-        """From plain values, see `CompareFile`; `budget` evaluations of each stand in place of `generations`."""
+        """Search of the plain values of a `CompareFile`; `budget`: evaluations per controller, else `generations`."""
 
-        def compare(changed: Mapping[str, Any]) -> Comparison:
-            changed = {**data, "tuned": None, "bands": None, **changed}
+        def compare(changes: Mapping[str, object]) -> Comparison:
+            changed = {**data, "tuned": None, "bands": None, **changes}
             return Comparison.from_dict(changed, folder, quick, trust_code=trust_code)
 
         options = compare({}).file.tune
@@ -94,16 +92,16 @@ class Tuning(Experiment):
                 allowed = f"at least {options.population + 1}: the start and a generation"
                 raise ConfigurationError("--budget", budget, allowed)
         with error_prefix("tune: "):
-            made = compare({"seeds": list(options.seeds), "set": {**(data.get("set") or {}), **options.set}})
-        trials = {name: of(made.trials, name) for name in controllers or options.controllers}
+            comparison = compare({"seeds": list(options.seeds), "set": {**(data.get("set") or {}), **options.set}})
+        trials = {name: of(comparison.trials, name) for name in controllers or options.controllers}
         return cls(
             kind="tune",
-            name=made.name,
-            base=made.base,
+            name=comparison.name,
+            base=comparison.base,
             trials=[trial for group in trials.values() for trial in group],
             columns=COLUMNS,
-            work=made.work,
-            variants=made.variants,
+            work=comparison.work,
+            variants=comparison.variants,
             data=data,
             options=options,
             start={name: _start(name, group, options.controllers[name]) for name, group in trials.items()},
@@ -120,7 +118,7 @@ class Tuning(Experiment):
         return len(self.trials) * self.evaluations + self.test({}).runs
 
     def compared(self, rows: Sequence[Row]) -> None:
-        """The runs before and after are compared with other plants, not those of the search."""
+        """None: the test is compared with another plant, the search is not."""
 
     def rows(self, run: RunTrials) -> list[Row]:
         return [row for name in self.start for row in self._search(name, run)]
@@ -130,10 +128,10 @@ class Tuning(Experiment):
         low, high = np.log(list(self.options.controllers[name].values())).T
 
         def evaluate(points: Sequence[np.ndarray]) -> list[float]:
-            # What is run first is the start as it stands in the file, whatever its digits.
+            # The first setting is that of the file, with all its digits.
             settings = [setting_at(start, point) for point in points] if rows else [start]
             numbered = list(enumerate(settings, len(rows)))
-            done = iter(run([self._evaluated(trial, *each) for each in numbered for trial in trials]))
+            done = iter(run([self._evaluated(trial, *item) for item in numbered for trial in trials]))
             for evaluation, setting in numbered:
                 group = list(itertools.islice(done, len(trials)))
                 cost = mean_cost(row.get("cost", FAILED) for row in group)
@@ -152,27 +150,27 @@ class Tuning(Experiment):
             key=json.dumps([evaluation, trial.key, setting]),
             changes={**trial.changes, **setting},
             measure=partial(measure_cost, scales=CostScales.from_dict(self.data["cost"])),
-            # The motions are the same in all evaluations: the first checks them.
+            # The first evaluation checks the motions for all.
             function=simulate_unchecked if evaluation else trial.function,
         )
 
     def figures(self, rows: Mapping[str, list[Row]]) -> Figures:
-        # matplotlib takes a second to load.
+        # Here, because matplotlib takes a second to load.
         from stewart_drake.plotting.study_plots import plot_search
 
         return {"tune": partial(plot_search, rows["tune"])}
 
     def test(self, tuned: Mapping[str, Setting]) -> Comparison:
-        """The comparison's own runs of each controller before and after the search; the start where it found none."""
-        controllers: dict[str, Any] = {}
+        """The comparison of the controllers before and after the search, with the runs of the file."""
+        controllers: dict[str, object] = {}
         runs = []
         for name, start in self.start.items():
             before = self.data["controllers"][name]
             after = {**before, **tuned.get(name, start)}
-            ways = {START: before, TUNED: after}
+            versions = {START: before, TUNED: after}
             if self.options.set:
-                ways[SEARCHED] = {**after, **self.options.set}
-            named = {f"{name}, {way}": keys for way, keys in ways.items()}
+                versions[SEARCHED] = {**after, **self.options.set}
+            named = {f"{name}, {version}": keys for version, keys in versions.items()}
             controllers |= named
             labels = [trial.labels for trial in of(self.trials, name)]
             for reference, condition in grouped(labels, "reference", "condition"):
@@ -205,7 +203,7 @@ def _start(name: str, trials: Sequence[Trial], ranges: Mapping[str, tuple[float,
             start[key] = value_at(data, key)
             with_changes(scenario, {key: high})
             if not isinstance(start[key], (int, float)) or not low <= start[key] <= high:
-                allowed = f"a number from {low:g} to {high:g} in the controller's own keys, to start from"
+                allowed = f"a number from {low:g} to {high:g} in the controller's keys, to start from"
                 raise ConfigurationError(key, start[key], allowed)
     return start
 
@@ -230,7 +228,7 @@ def run_tuning(
     tuned = {name: min(group, key=lambda row: row["cost"])["setting"] for name, group in searches.items()}
     comparison = tuning.test(tuned)
     before = tuning.runs - comparison.runs
-    # Another search, longer or of other controllers, has another.
+    # The result of another search has another folder.
     test_folder = folder / f"verdict-{checksum(tuned)[:8]}"
     test = run_experiment(comparison, test_folder, workers, lambda done: report(before + done), restart)
     lines = []
@@ -263,29 +261,29 @@ def minimise(
     seed: int,
     spread: float = 0.2,
 ) -> tuple[np.ndarray, float]:
-    """The best point (n,) of a box and its cost, by CMA-ES with `spread`, a share of the box, at first.
+    """The best point (n,) of a box and its cost, by CMA-ES with the initial standard deviation `spread` (1 is the box).
 
     N. Hansen, "The CMA evolution strategy: a tutorial", arXiv 1604.00772 (2016). The same arguments give the same
-    points: a search whose evaluations are kept goes on where it was. The first asked for is the start, alone.
+    points, so that a search continues from kept evaluations. The start is evaluated first, alone.
     """
-    # It loads matplotlib.
+    # Here, because it loads matplotlib.
     import cma
 
     best, least = start, float(evaluate([start])[0])
     rng = np.random.default_rng(seed)
-    options: dict[str, Any] = {"bounds": [0.0, 1.0], "popsize": population, "verbose": -10, "verb_log": 0}
+    options: dict[str, object] = {"bounds": [0.0, 1.0], "popsize": population, "verbose": -10, "verb_log": 0}
     options |= {"randn": lambda *shape: rng.standard_normal(shape), "seed": np.nan}
-    # It is made for two dimensions and more: a second one without effect.
+    # CMA-ES needs two dimensions; a second one has no effect.
     inside = np.resize(np.append((start - low) / (high - low), 0.5), max(2, len(start)))
     strategy = cma.CMAEvolutionStrategy(inside, spread, options)
     for _ in range(generations):
         points = strategy.ask()
-        asked = [low + (high - low) * point[: len(start)] for point in points]
-        costs = [float(cost) for cost in evaluate(asked)]
+        scaled = [low + (high - low) * point[: len(start)] for point in points]
+        costs = [float(cost) for cost in evaluate(scaled)]
         strategy.tell(points, costs)
         first = int(np.argmin(costs))
         if costs[first] < least:
-            best, least = asked[first], costs[first]
+            best, least = scaled[first], costs[first]
         if strategy.stop():
             break
     return best, least

@@ -1,4 +1,4 @@
-"""Where the runs of a study go: processes of this machine (loky's), a Dask cluster, or this very process."""
+"""Runs the work of a study in processes of this machine (loky), on a Dask cluster, or in this process."""
 
 from __future__ import annotations
 
@@ -24,34 +24,41 @@ from stewart_drake.logs import versions
 
 K = TypeVar("K", bound=Hashable)
 T = TypeVar("T")
-Work = tuple[Callable[..., Any], tuple[Any, ...]]
+Work = tuple[Callable[..., T], tuple[object, ...]]  # Function and arguments.
 
-CONNECT_TIMEOUT = 20.0  # [s] that a Dask scheduler has to answer, and its first worker to come
-IDLE_TIMEOUT = 3600.0  # [s] after which a process without work ends; loky may lose work that comes just then
-WORN = 200  # Runs after which a process is replaced: each leaves some tenths of a megabyte behind in Drake
-WORKER_GONE = (
+CONNECT_TIMEOUT = 20.0  # [s] for the answer of a Dask scheduler, and for its first worker.
+IDLE_TIMEOUT = 3600.0  # [s] after which an idle process ends; long, because loky may lose work that comes just then.
+RUNS_PER_PROCESS = 200  # A process is then replaced: Drake leaks some tenths of a megabyte per run.
+WORKER_ENDED = (
     "a worker process ended by itself: it was killed, or ran out of memory, or could not import the script that called,"
     ' which must be a file with the call under `if __name__ == "__main__":`'
 )
-DEAD = "its worker process died twice, the second time with this run alone in it: killed, out of memory, or a crash"
+DIED_TWICE = (
+    "its worker process died twice, the second time with this run alone in it: killed, out of memory, or a crash"
+)
 _WITHOUT_STDERR = ExitStack()
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
-"""Of a worker: with more, those of several workers would be in each other's way."""
+"""Environment of a worker; with more threads, workers would compete for the cores."""
 
 
 class Workers(AbstractContextManager["Workers"]):
     """Processes of this machine, which import the calling script, or a Dask cluster. A context manager.
 
-    `count` processes, None for one per core, at most 8, 0 for this very process, each replaced after `worn` runs.
+    Args:
+        count: Number of processes; None for one per core, at most 8; 0 for this process.
+        scheduler: Address of a Dask scheduler, in place of processes.
+        runs_per_process: Runs after which processes are replaced, on average; None for never.
     """
 
-    def __init__(self, count: int | None = None, scheduler: str | None = None, worn: int | None = WORN) -> None:
+    def __init__(
+        self, count: int | None = None, scheduler: str | None = None, runs_per_process: int | None = RUNS_PER_PROCESS
+    ) -> None:
         self.count = max(1, min(8, os.cpu_count() or 1)) if count is None else count
         self._client = None
         if scheduler is not None:
-            self._client, worn = _connected(scheduler), None
+            self._client, runs_per_process = _connected(scheduler), None
             self.count = max(1, sum(self._client.nthreads().values()))
-        self._life = self.left = math.inf if worn is None else self.count * worn
+        self._max_runs = self.runs_left = math.inf if runs_per_process is None else self.count * runs_per_process
 
     def __exit__(self, *_: object) -> None:
         if self._client is not None:
@@ -61,7 +68,7 @@ class Workers(AbstractContextManager["Workers"]):
         if self._client is not None:
             client: Executor = self._client.get_executor(pure=False, retries=0)
             return client
-        # What is started now takes no module of the current folder for Python's own.
+        # Processes started now do not import modules of the current folder.
         os.environ["PYTHONSAFEPATH"] = "1"
         return get_reusable_executor(
             self.count,
@@ -73,23 +80,23 @@ class Workers(AbstractContextManager["Workers"]):
         )
 
     def replace(self) -> None:
-        """Ends the processes; the next run starts others."""
+        """Ends the processes; the next run starts new ones."""
         if self._client is None:
             get_reusable_executor().shutdown(wait=True, kill_workers=True)
-        self.left = self._life
+        self.runs_left = self._max_runs
 
 
 def run_jobs(
     keys: Iterable[K],
-    work: Callable[[K], Work],
-    keep: Callable[[K, Any], None],
+    work: Callable[[K], Work[T]],
+    keep: Callable[[K, T], None],
     workers: Workers | None = None,
-    died: Callable[[K], Any] | None = None,
+    died: Callable[[K], T] | None = None,
 ) -> None:
-    """Does the work of each key, in any order; `keep` gets each result in this process as it comes.
+    """Does the work of all keys, in any order, and calls `keep` in this process with the results as they come.
 
-    Where a worker process dies, the work that was under way is done again, one piece at a time; `died` gives the result
-    of work whose process dies twice. Without it that is an error.
+    If a worker process dies, unfinished work is repeated, one piece at a time. If its process dies again, the result is
+    that of `died`, or a StewartDrakeError.
     """
     workers = workers or Workers()
     if workers.count == 0:
@@ -100,24 +107,24 @@ def run_jobs(
     waiting, suspects = deque(keys), list[K]()
     while waiting:
         suspects += _work_off(waiting, work, keep, workers)
-        # Where no process starts at all, no work is to blame.
-        nothing: deque[int] = deque([0] if suspects else [])
-        if _work_off(nothing, lambda _: (int, ()), lambda *_: None, workers):
-            raise StewartDrakeError(WORKER_GONE)
+        # If even a trivial function fails, no process can start, and the work is not the cause.
+        trivial: deque[int] = deque([0] if suspects else [])
+        if _work_off(trivial, lambda _: (int, ()), lambda *_: None, workers):
+            raise StewartDrakeError(WORKER_ENDED)
     for key in suspects:
         if _work_off(deque([key]), work, keep, workers):
             if died is None:
-                raise StewartDrakeError(WORKER_GONE)
+                raise StewartDrakeError(WORKER_ENDED)
             keep(key, died(key))
 
 
 def run_all(
     function: Callable[..., T],
-    arguments: Sequence[tuple[Any, ...]],
+    arguments: Sequence[tuple[object, ...]],
     workers: Workers | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[T]:
-    """What a function gives for each of some arguments, in their order; `progress` gets the number done."""
+    """Results of a function for a sequence of arguments, in order; `progress` gets the number of results."""
     results: dict[int, T] = {}
 
     def keep(index: int, result: T) -> None:
@@ -129,27 +136,27 @@ def run_all(
 
 
 def _work_off(
-    waiting: deque[K], work: Callable[[K], Work], keep: Callable[[K, Any], None], workers: Workers
+    waiting: deque[K], work: Callable[[K], Work[T]], keep: Callable[[K, T], None], workers: Workers
 ) -> list[K]:
-    """Takes work from `waiting` until there is none, a process dies, or all are worn; what a death has left undone."""
+    """Works off `waiting` until it is empty, a process dies or all are to be replaced; returns unfinished keys."""
     source, executor, died = str(versions.source_digest()), workers.executor(), False
-    pending: dict[Future[Any], K] = {}
+    pending: dict[Future[T], K] = {}
     try:
-        while not died and (pending or (waiting and workers.left > 0)):
-            while waiting and workers.left > 0 and len(pending) <= workers.count:
+        while not died and (pending or (waiting and workers.runs_left > 0)):
+            while waiting and workers.runs_left > 0 and len(pending) <= workers.count:
                 future = _submit(executor, _checked, source, *work(waiting[0]))
                 pending[future] = waiting.popleft()
-                workers.left -= 1
+                workers.runs_left -= 1
             for future in wait(pending, return_when=FIRST_COMPLETED).done:
                 error = future.exception()
-                if isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker":  # the latter Dask's
+                if isinstance(error, BrokenExecutor) or type(error).__name__ == "KilledWorker":  # Dask's.
                     died = True
                 elif error is not None:
                     raise error
                 else:
                     keep(pending.pop(future), future.result())
     except BrokenExecutor:
-        pass  # It broke between two pieces of work.
+        pass  # The executor broke between two pieces of work.
     except BaseException as error:
         for future in pending:
             future.cancel()
@@ -158,26 +165,27 @@ def _work_off(
             raise StewartDrakeError("the Dask cluster is gone; finished rows are kept") from error
         raise
     for future in pending:
-        # Dask may forget work whose worker died beside it.
+        # Dask may forget pending work when a worker dies.
         future.cancel()
-    if workers.left <= 0:
+    if workers.runs_left <= 0:
         workers.replace()
     return list(pending.values())
 
 
-def _submit(executor: Executor, *call: Any) -> Future[Any]:
-    # Ctrl-C is not for the processes that this may start: this one ends them, without a traceback from each. The
-    # trackers of resources come first: starting one lifts the mask.
+def _submit(executor: Executor, function: Callable[..., T], *arguments: object) -> Future[T]:
+    # Processes started here ignore Ctrl-C; this process ends them, without their tracebacks. Trackers of resources come
+    # first, because starting one unblocks the signal.
     for tracker in (loky_tracker, resource_tracker):
         tracker.ensure_running()
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        return executor.submit(*call)
+        return executor.submit(function, *arguments)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
-def _checked(source: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+def _checked(source: str, function: Callable[..., T], arguments: tuple[object, ...]) -> T:
+    """Calls a function in a worker, which must have the sources of this process."""
     if _own_source() != source:
         raise StewartDrakeError(
             "a worker has another version of stewart-drake than this process: install the same one everywhere, and do "
@@ -188,11 +196,11 @@ def _checked(source: str, function: Callable[..., Any], arguments: tuple[Any, ..
 
 @lru_cache(maxsize=1)
 def _own_source() -> str:
-    return versions.source_digest()  # What this process has loaded does not change.
+    return versions.source_digest()  # Cached, because loaded code does not change.
 
 
 def start_worker(parent: int) -> None:
-    """Keeps libraries quiet in this worker, and ends it once the process that started it is gone."""
+    """Silences libraries in this worker, and ends it when its parent process has ended."""
     _WITHOUT_STDERR.enter_context(quiet_libraries())
     logging.getLogger("stewart_drake").setLevel(logging.ERROR)
 
@@ -207,14 +215,14 @@ def start_worker(parent: int) -> None:
 def _connected(address: str) -> Any:
     with installed_with("stewart-drake[dask]"):
         import distributed
-    # One line of ours stands for the tracebacks that it logs of a cluster that goes away.
+    # When a cluster goes away, one line is printed in place of the tracebacks in these logs.
     for name in logging.root.manager.loggerDict:
         logging.getLogger(name).disabled |= name.startswith(("distributed", "tornado"))
-    connect: Any = distributed.Client  # untyped in parts
+    connect: Any = distributed.Client  # Partly untyped.
     try:
         client = connect(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
         client.wait_for_workers(1, timeout=CONNECT_TIMEOUT)
-    except Exception as error:  # of what is no scheduler, whatever its first words are taken for
+    except Exception as error:  # Another server may cause any error.
         why = " ".join(str(error).split()) or type(error).__name__
         allowed = f"the address of a Dask scheduler that answers, such as tcp://host:8786 ({why})"
         raise ConfigurationError("--scheduler", address, allowed) from None

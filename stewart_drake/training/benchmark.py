@@ -26,6 +26,7 @@ from stewart_drake.logs.metrics import METRICS, OUTCOME, Column, run_cost, run_m
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.experiment import Experiment, Figures, RunTrials, grouped, not_completed
 from stewart_drake.studies.runs import Row, RowStore, Trial, identity, simulate_unchecked
+from stewart_drake.studies.workers import Workers
 from stewart_drake.training.situations import HELD_OUT, KINDS, ROBOTS, Case, Changes, kinds_of, situation
 
 SHIPPED = PACKAGE / "weights" / "baselines.yaml"
@@ -179,10 +180,16 @@ def _work(plant: PlantKind) -> dict[str, object]:
 
 
 class Benchmark(RowStore):
-    """Runs of candidates for a search; with the further arguments of `RowStore`."""
+    """Runs of candidates for a search, see `RowStore`."""
 
-    def __init__(self, folder: Path, plant: PlantKind, *more: Any, **options: Any) -> None:
-        super().__init__(folder, identity(_work(plant)), *more, **options)
+    def __init__(
+        self,
+        folder: Path,
+        plant: PlantKind,
+        workers: Workers | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> None:
+        super().__init__(folder, identity(_work(plant)), workers, progress)
         self._plant = plant
 
     def run(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> list[Row]:
@@ -218,8 +225,11 @@ def estimate(logs: Sequence[np.ndarray], kind: Literal["mean", "median"] = "mean
     value = float(statistic(*logs))
     if all(np.ptp(cell) == 0.0 for cell in logs):
         return Estimate(*np.exp([value] * 3).tolist())
-    options: dict[str, Any] = {"n_resamples": 4999, "batch": 500, "method": "percentile", "vectorized": True}
-    interval = bootstrap(list(logs), statistic, rng=np.random.default_rng(0), **options).confidence_interval
+    rng = np.random.default_rng(0)
+    result = bootstrap(
+        list(logs), statistic, n_resamples=4999, batch=500, method="percentile", vectorized=True, rng=rng
+    )
+    interval = result.confidence_interval
     return Estimate(*np.exp([value, interval.low, interval.high]).tolist())
 
 
@@ -275,7 +285,7 @@ class Evaluation(Experiment):
         ]
         lines = [
             f"Ratios of J to that of `{BEST_FIXED}` in the same situation: geometric means over the "
-            f"{len(fixed)} runs of each candidate, each kind of each robot counting alike, with intervals of "
+            f"{len(fixed)} runs of a candidate, with equal weights of all kinds and robots, with intervals of "
             "95 % (bootstrap).",
             markdown_table(["candidate", *groups, "median of runs", "worst kind", "failed"], whole),
             *([f"J of `{first}` over that of", markdown_table(["", *rest], pairwise)] if rest else []),
@@ -286,7 +296,7 @@ class Evaluation(Experiment):
         return "\n\n".join(lines) + "\n"
 
     def figures(self, rows: Mapping[str, list[Row]]) -> Figures:
-        # matplotlib takes a second to load.
+        # Here, because matplotlib takes a second to load.
         from stewart_drake.plotting.study_plots import plot_costs
 
         table = rows[self.kind]

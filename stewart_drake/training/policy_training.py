@@ -361,7 +361,7 @@ def train_policy(
     `file` is written after every generation, and read to continue; removed at the end.
     """
     # No replacement of workers: without Drake a process stays small, and it caches its situations.
-    training = Training(options, workers or Workers(os.cpu_count(), worn=None))
+    training = Training(options, workers or Workers(os.cpu_count(), runs_per_process=None))
     if file is not None and file.exists():
         state = State.load(file, training.identity)
     else:

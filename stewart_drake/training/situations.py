@@ -22,9 +22,9 @@ from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 TRAINING, VALIDATION, HELD_OUT = (range(first, first + 10**6) for first in (0, 10**6, 3 * 10**6))
 """Seeds for search and training, for selection, and for the test. Those from 2e6 on tested earlier policies."""
-_TRIES = 50  # Draws of a situation until its motion is feasible; nearly all first draws are
+_TRIES = 50  # Draws of a situation until its motion is feasible; nearly all first draws are.
 
-Changes = dict[str, Any]
+Changes = dict[str, Any]  # Scenario key -> value.
 
 
 class Case(NamedTuple):

@@ -88,7 +88,7 @@ def test_what_a_run_learns_is_printed_kept_and_where_the_next_one_begins(call):
     broken = "--set=sensors.faults=[{kind: nan, time: 1.0, leg: 1}]"
     status, _, said = call("run", "exact_breathing", *learning, broken, "--keep-model", "kept.yaml", "--out", "failed")
     assert status == 3
-    assert "nothing kept in" in said
+    assert "nothing saved in" in said
     assert Path("kept.yaml").read_bytes() == kept
     status, _, said = call("run", "exact_breathing", *learning, "--keep-model", "kept.yaml/more", "--out", "none")
     assert status == 2
@@ -103,7 +103,7 @@ def test_what_a_run_learns_is_printed_kept_and_where_the_next_one_begins(call):
     frozen = ("--set", "adaptation={kind: regression, frozen: true}", "--set", "duration=0.1")
     status, _, said = call("run", "exact_breathing", *learning, *frozen, "--keep-model", "new.yaml", "--out", "frozen")
     assert (status, Path("new.yaml").exists()) == (0, False)
-    assert "nothing kept in new.yaml: nothing was learnt" in said
+    assert "nothing saved in new.yaml: nothing was learnt" in said
     for other, links in (
         ("robot={crank_length: 0.12}", "cranks 0.12 m, rods 0.404 m"),
         ("robot={crank_plane_angle: 0.01}", "cranks 0.11 m, rods 0.404 m"),
@@ -149,10 +149,10 @@ def test_the_schema_command_writes_what_the_checkout_holds(call):
 
 def test_tables_are_json_on_request_and_choose_columns_by_the_terminals_width(call, monkeypatch):
     status, out, err = call("check", "paper_fig7", "--json")
-    assert (status, err) == (0, "what each limit is: stewart-drake explain limits\n")
+    assert (status, err) == (0, "to explain the limits: stewart-drake explain limits\n")
     limits, machine = json.loads(out).values()
     assert limits["reach"]["bound"] == 0.98
-    assert {"": "delay of a command [ticks]", "simulated": 0.0, "believed": 0.0} in machine
+    assert {"": "delay of a command [ticks]", "simulated": 0.0, "model": 0.0} in machine
     for width, shown, left_out in ((200, "where", ""), (50, "allowed", "more columns")):
         monkeypatch.setenv("COLUMNS", str(width))
         out = call("check", "paper_fig7")[1]

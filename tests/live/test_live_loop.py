@@ -95,7 +95,7 @@ def test_a_slider_of_a_former_controller_and_a_save_before_a_run_are_refused(tmp
         messages.append(session.message)
     assert messages[0] == "save: expected a loop that has run, got 'no row'"
     assert messages[1] == ""
-    assert messages[2].startswith("slider: expected one that there is now: controller.kp, ")
+    assert messages[2].startswith("slider: expected one of controller.kp, ")
     assert list(tmp_path.glob("runs/*")) == []
     session.run(until=0.05)
     assert session.loop.ended == ""

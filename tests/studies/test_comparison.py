@@ -7,7 +7,7 @@ from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.markdown import number
 from stewart_drake.runs.simulation import run
 from stewart_drake.studies.comparison import Comparison, _rank, load_comparison
-from stewart_drake.studies.experiment import MOST, pivot, refusals, run_experiment
+from stewart_drake.studies.experiment import MAX_REASONS, pivot, refusals, run_experiment
 from stewart_drake.studies.runs import settling_time
 from stewart_drake.studies.workers import Workers
 
@@ -56,13 +56,13 @@ def test_controllers_of_a_comparison_may_change_the_kind_of_motors():
 
 def test_below_a_table_is_why_runs_were_refused_a_line_for_each_reason():
     rows = [{"status": "rejected", "message": "no model"}] * 3 + [{"status": "completed", "message": None}] * 9
-    rows += [{"status": "rejected", "message": f"got {letter}"} for letter in "abcdefghijk"[: MOST + 2]]
+    rows += [{"status": "rejected", "message": f"got {letter}"} for letter in "abcdefghijk"[: MAX_REASONS + 2]]
     rows += [{"status": "rejected", "message": f"leg {leg}, got {-1.5e-7 * leg}"} for leg in range(4)]
     lines = refusals(rows)
     # Reasons of random runs differ in their numbers alone.
     assert lines[:2] == ["4 rejected: leg 0, got -0.0", "3 rejected: no model"]
     assert lines[-1] == "4 more for other reasons: see the column `message`"
-    assert len(lines) == MOST + 1
+    assert len(lines) == MAX_REASONS + 1
     named = [{**row, "a": "x", "b": str(number)} for number, row in enumerate(rows[:2])]
     text = pivot("title", named, "a", "b", lambda _: "-").markdown()
     assert text.endswith("| x | - | - |\n\n- 2 rejected: no model\n")

@@ -15,10 +15,10 @@ from stewart_drake.base.errors import ConfigurationError, StewartDrakeError
 from stewart_drake.logs import versions
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.runs.simulation import run
-from stewart_drake.studies.experiment import COMPARED, INCIDENTAL, run_experiment
+from stewart_drake.studies.experiment import COMPARED_FIGURES, INCIDENTAL, run_experiment
 from stewart_drake.studies.runs import simulate
 from stewart_drake.studies.sweep import make_sweep, summary
-from stewart_drake.studies.workers import WORKER_GONE, Workers, run_jobs
+from stewart_drake.studies.workers import WORKER_ENDED, Workers, run_jobs
 
 HERE = Workers(0)
 # In so short a time nothing is followed.
@@ -108,7 +108,7 @@ def test_a_sweep_on_the_closed_form_says_how_far_its_first_run_is_from_drakes(tm
     made = run_experiment(study, tmp_path, HERE)
     assert json.loads(made.tables["sweep"].schema.metadata[b"stewart_drake.sweep"])["compared"] == made.compared
     drake = run_metrics(run(study.scenario(0).replace({"plant.kind": "drake"})))
-    for name in COMPARED[:2]:
+    for name in COMPARED_FIGURES[:2]:
         other, off = map(float, re.search(rf"{name} (\S+) \(here (\S+) %\)", made.compared).groups())
         assert other == pytest.approx(drake[name], rel=0.01)
         assert off == pytest.approx(100.0 * (made.rows["sweep"][0][name] / drake[name] - 1.0), abs=0.06, rel=0.06)
@@ -119,7 +119,7 @@ def test_processes_give_the_same_table_also_where_one_is_killed_or_they_are_worn
     monkeypatch.setenv("SWEEP_TEST_MARK", str(tmp_path / "mark"))
     # Processes that an earlier study has left know nothing of it.
     get_reusable_executor().shutdown(wait=True)
-    two = run_experiment(sweep(killed_once), tmp_path / "out", Workers(2, worn=2))
+    two = run_experiment(sweep(killed_once), tmp_path / "out", Workers(2, runs_per_process=2))
     assert (tmp_path / "mark").exists()
     assert same(two).equals(same(reference), check_metadata=True)
     processes = two.tables["sweep"].column("worker").to_pylist()
@@ -149,7 +149,7 @@ def test_a_worker_with_another_version_and_one_that_cannot_start_are_told(monkey
     with pytest.raises(StewartDrakeError, match="another version of stewart-drake"):
         run_jobs([0], lambda _: (int, ()), lambda *_: None, Workers(2))
     monkeypatch.undo()
-    with pytest.raises(StewartDrakeError, match=re.escape(WORKER_GONE[:40])):
+    with pytest.raises(StewartDrakeError, match=re.escape(WORKER_ENDED[:40])):
         run_jobs([0], lambda _: (os._exit, (1,)), lambda *_: None, Workers(2))
 
 
