@@ -1,12 +1,11 @@
 """Identification of position servos, from commands and measured angles alone.
 
 Estimates stiffness, damping, friction and delay of the servos, and the mass of the head. A servo is a spring between
-its command and its angle, so it measures its own torque. The law is that by which a robot learns while it moves, see
-`control.adaptation_laws`: here it runs over the rows of logs without forgetting, and starts again from its result,
-which is Gauss-Newton for delay and stiffness. The bias of its estimate by filter, reversals and rounding is that of an
-estimate from a simulated robot. Damping is the sum of back-EMF and viscous friction, which act as one. The delay of a
-command and the age of a reading also act as one, so the age must be given. All torques are known up to one factor: the
-inertia of rotors and cranks in the model fixes it, or a head that was weighed.
+its command and its angle, so it measures its own torque. The law is that of `control.adaptation_laws`, over the rows of
+logs without forgetting. It starts again from its result, which is Gauss-Newton for delay and stiffness. The bias by
+filter, reversals and rounding is that of an estimate from a simulated robot. Damping is back-EMF plus viscous friction.
+The delay of a command and the age of a reading cannot be told apart, so the age must be given. The inertia of rotors
+and cranks, or a head that was weighed, fixes the scale of all torques.
 """
 
 from __future__ import annotations
