@@ -35,7 +35,7 @@ class StewartDrakeError(Exception):
 class ConfigurationError(StewartDrakeError):
     """An invalid value from the user: `KEY: expected WHAT, got VALUE; HINT`.
 
-    Not a ValueError: pydantic would wrap that into an error of its own.
+    Not a ValueError: pydantic would wrap that in a ValidationError.
 
     Attributes:
         key: Dotted name of the scenario key, parameter or file.
@@ -68,7 +68,7 @@ class InfeasibleReferenceError(ConfigurationError):
         limit: Name of the limit that is broken first.
         time: [s] first instant at which it is broken.
         leg: Leg 0..5, or None for a limit of the platform.
-        margin: Signed distance to the limit in its own unit; negative is outside.
+        margin: Signed distance to the limit in the limit's unit; negative is outside.
     """
 
     reason = "infeasible_reference"

@@ -98,7 +98,7 @@ class Comparison(Experiment):
         if robot is not None:
             base = base.replace({"robot": robot})
             base = base.replace(scale_to_robot({"reference": to_plain(base.reference)}, base))
-            # A motion is fitted for the duration among its keys, so each group of keys is scaled separately.
+            # Groups of keys are scaled one by one, because a motion is fitted for the duration in its group.
             parts = {
                 kind: {name: scale_to_robot(keys, base) for name, keys in named.items()}
                 for kind, named in parts.items()

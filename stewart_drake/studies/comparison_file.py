@@ -58,7 +58,7 @@ class TuneOptions(Section, key="tune"):
     controllers: dict[Text, dict[Text, PositivePair]]
     """Name -> (scenario key -> lowest and highest value). The search starts from the controller's values."""
     generations: Annotated[Count, Field(ge=1, le=10_000)] = 12
-    """Largest number of generations, of `population` settings each; fewer if the search converges."""
+    """Largest number of generations, with `population` settings; fewer if the search converges."""
     population: Annotated[Count, Field(ge=4, le=1000)] = 8
     """Settings in a generation, the same for all controllers."""
     seeds: Annotated[tuple[Seed, ...], Field(min_length=1)] = (1,)

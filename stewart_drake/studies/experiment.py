@@ -26,7 +26,7 @@ from stewart_drake.logs.metrics import Column, run_metrics
 from stewart_drake.logs.outcomes import describe_outcome
 from stewart_drake.logs.versions import collect_versions
 from stewart_drake.scenario.scenario import Scenario, load_scenario
-from stewart_drake.studies.runs import Measure, Row, RowStore, Trial, identity, measure_all
+from stewart_drake.studies.runs import Measure, Row, RowStore, RunFunction, Trial, identity, measure_all, simulate
 from stewart_drake.studies.workers import Workers
 
 if TYPE_CHECKING:
@@ -199,11 +199,12 @@ def trial_of(
     changes: Mapping[str, object],
     labels: Mapping[str, object],
     measure: Measure = measure_all,
-    **more: Any,
+    function: RunFunction = simulate,
+    trust_code: bool = False,
 ) -> Trial:
     """Run `index` of an experiment; its figures use every tick, whatever the scenario's `log_period`."""
     changes = {"name": name, **changes, "log_period": None}
-    return Trial(str(index), base, changes, {"index": index, **labels}, measure, **more)
+    return Trial(str(index), base, changes, {"index": index, **labels}, measure, function, trust_code)
 
 
 @contextmanager

@@ -241,7 +241,8 @@ def _braked(log: SimulationLog) -> np.ndarray:
     if not isinstance(options, MechanismOptions):
         return np.empty((0, 6))
     open_for = 0 if log.status == "stopped" else round(BRAKE_DELAY / step)
-    plant, braked = (ClosedForm(robot, each, scenario.gravity) for each in (options, options.braked(robot)))
+    variants = options, options.braked(robot)
+    plant, braked = (ClosedForm(robot, variant, scenario.gravity) for variant in variants)
     zero = np.zeros(6)
     # Poses end at a singularity.
     with suppress(StewartDrakeError):

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from types import ModuleType
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -227,7 +228,7 @@ def split_samples(dataset: Dataset, options: TrainingOptions) -> np.ndarray:
     return training
 
 
-def import_torch() -> Any:
+def import_torch() -> ModuleType:
     """torch, or an error of one line if it is not installed."""
     with installed_with("stewart-drake[train]", "everything but the training of the paper's network works without it"):
         import torch
@@ -288,7 +289,7 @@ def train_network(
 
 
 def _descend(
-    torch: Any,
+    torch: ModuleType,
     inputs: np.ndarray,
     target: np.ndarray,
     training: np.ndarray,

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from datetime import date
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -187,7 +186,7 @@ class State:
     @classmethod
     def load(cls, file: Path, identity: str) -> State:
         content = read_checked(file, f"state {file}", MAX_FILE_BYTES)
-        values: dict[str, Any] = unseal(content, f"state {file}", "`stewart-drake train`; remove it to start anew")
+        values = unseal(content, f"state {file}", "`stewart-drake train`; remove it to start anew")
         if values.pop("identity", None) != identity:
             allowed = "the state of a training with the same options; remove the file to start anew"
             raise ConfigurationError(f"state {file}", "of other options", allowed)

@@ -115,7 +115,7 @@ def test_a_sweep_on_the_closed_form_says_how_far_its_first_run_is_from_drakes(tm
 
 
 @pytest.mark.slow
-def test_processes_give_the_same_table_also_where_one_is_killed_or_they_are_worn(reference, tmp_path, monkeypatch):
+def test_processes_give_the_same_table_also_if_one_is_killed_or_they_are_replaced(reference, tmp_path, monkeypatch):
     monkeypatch.setenv("SWEEP_TEST_MARK", str(tmp_path / "mark"))
     # Processes that an earlier study has left know nothing of it.
     get_reusable_executor().shutdown(wait=True)
