@@ -3,15 +3,15 @@
 Estimates stiffness, damping, friction and delay of the servos, and the mass of the head. A servo is a spring between
 its command and its angle, so it measures its own torque. The law is that of `control.adaptation_laws`, over the rows of
 logs without forgetting. It starts again from its result, which is Gauss-Newton for delay and stiffness. The bias by
-filter, reversals and rounding is that of an estimate from a simulated robot. Damping is back-EMF plus viscous friction.
+filter, reversals, rounding is that of an estimate from a simulated robot. Damping is back-EMF plus viscous friction.
 The delay of a command and the age of a reading cannot be told apart, so the age must be given. The inertia of rotors
 and cranks, or a head that was weighed, fixes the scale of all torques.
 """
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Collection, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -399,7 +399,7 @@ def take_angles(logs: Iterable[str | Path]) -> bool:
         return load_log(log).scenario.motors.command_quantity == "angle"
     names = ""
     # A file that cannot be read is refused when it is loaded.
-    with contextlib.suppress(OSError, ValueError), log.open(encoding="utf-8-sig") as stream:
+    with suppress(OSError, ValueError), log.open(encoding="utf-8-sig") as stream:
         names = stream.readline().strip()
     if names and "torque_" not in names and "commanded_angle_" not in names:
         allowed = "torque_0_Nm to torque_5_Nm, or commanded_angle_0_rad to commanded_angle_5_rad, too"
