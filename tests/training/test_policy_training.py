@@ -106,7 +106,7 @@ def test_interrupted_or_on_more_processes_it_comes_to_the_same_policy(tmp_path, 
         train_policy(SMALL, file, stop, Workers(0))
     again = train_policy(SMALL, file, workers=Workers(2))
     assert not file.exists()
-    for name in whole.shapes():
+    for name in Policy.record_type.fields:
         np.testing.assert_array_equal(getattr(whole, name), getattr(again, name))
 
 
