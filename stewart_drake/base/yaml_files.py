@@ -128,7 +128,7 @@ def to_yaml(data: object) -> str:
 class _PlainComposer(Composer):
     """Refuses aliases, and so merge keys: a few nested ones can exhaust the memory."""
 
-    def compose_node(self, parent: Any, index: Any) -> Any:
+    def compose_node(self, parent: object, index: object) -> object:
         if self.parser.check_event(AliasEvent):
             event = self.parser.peek_event()
             raise MarkedYAMLError(problem=f"an alias, *{event.anchor}", problem_mark=event.start_mark)

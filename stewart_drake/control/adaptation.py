@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.atomic_files import checksum
+from stewart_drake.base.atomic_files import Document, checksum
 from stewart_drake.base.config import Flag, Positive, Real
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.control.adaptation_laws import regression_tick
@@ -146,7 +146,7 @@ def rows_of(known: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
     return lines
 
 
-def model_of(known: Mapping[str, np.ndarray], before: Any) -> dict[str, Any]:
+def model_of(known: Mapping[str, np.ndarray], before: Any) -> Document:
     """Robot, motors and friction as keys of `model`: those of the model before, with what was learnt."""
     robot, motors, friction = before.robot, before.motors, before.friction
     value = Learnt.of(known["learnt"])

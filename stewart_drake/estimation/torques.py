@@ -93,7 +93,7 @@ def as_robot(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
     )
 
 
-def inertia_matrix(values: np.ndarray) -> Any:
+def inertia_matrix(values: np.ndarray) -> np.ndarray:
     """Inertia matrix (3, 3) of the platform from parameters, which are numbers or symbolic expressions."""
     xx, yy, zz, xy, xz, yz = values[INERTIA]
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

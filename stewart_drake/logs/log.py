@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stewart_drake.base import tables
-from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.atomic_files import Document, write_atomically
 from stewart_drake.base.errors import ConfigurationError, installed_with
 from stewart_drake.base.keys import join_or
 from stewart_drake.logs.journal import JOURNAL, cut_off
@@ -139,7 +139,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
         """(n,) mask of the rows in the second half of the planned duration."""
         return self.rows.second_half
 
-    def outcome(self) -> dict[str, Any]:
+    def outcome(self) -> Document:
         """Attributes besides scenario and signals, as JSON values."""
         return {name: getattr(self, name) for name in _OUTCOME} | {"warnings": list(self.warnings)}
 
