@@ -42,7 +42,7 @@ class CodePath(os.PathLike[str]):
 
     place: str  # Its module, or the whole path of its file.
     name: str
-    given: Any = field(default=None, hash=False)  # In Python; None otherwise.
+    given: object = field(default=None, hash=False)  # In Python; None otherwise.
     trusted: bool = field(default=True, compare=False)  # Whether it may run.
 
     @classmethod
@@ -123,7 +123,7 @@ class CodePath(os.PathLike[str]):
         return cls.of(value, isinstance(info.context, Reading) and info.context.trust_code)
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> CoreSchema:
+    def __get_pydantic_core_schema__(cls, source: object, handler: object) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(cls._validate)
 
     @classmethod

@@ -422,7 +422,7 @@ def _as_one(error: ValidationError, key: str) -> ConfigurationError:
     return first
 
 
-def _type_of(field: FieldInfo | None) -> Any:
+def _type_of(field: FieldInfo | None) -> object:
     if field is None:
         return None
     return Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation

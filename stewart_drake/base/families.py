@@ -75,7 +75,7 @@ class Table:
             return value
         raise as_problem(ConfigurationError("", value, choices_text(value, self.names)))
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: object, handler: object) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(self._validate)
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Document:
@@ -148,7 +148,7 @@ class Family(Table):
         self._check_new(name)
         self._paths[name] = path
 
-    def normalise(self, data: object) -> Any:
+    def normalise(self, data: object) -> object:
         """What is given for a part as keys: a kind alone, or a user's class or object, becomes `{"kind": ...}`."""
         if isinstance(data, type) and issubclass(data, Section):
             return data()

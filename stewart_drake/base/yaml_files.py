@@ -83,7 +83,7 @@ def _yaml() -> YAML:
 
 
 @lru_cache(maxsize=64)
-def _loaded(text: str) -> Any:
+def _loaded(text: str) -> object:
     yaml = _yaml()
     yaml.Composer = _PlainComposer
     return yaml.load(text)

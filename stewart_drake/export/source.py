@@ -10,7 +10,7 @@ import tokenize
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, get_type_hints
+from typing import NamedTuple, get_type_hints
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.records import Record
@@ -63,7 +63,7 @@ def _parsed(thing: Callable[..., object]) -> tuple[ast.stmt, dict[int, str], dic
 
 
 @lru_cache(maxsize=1024)
-def source_of(function: Any) -> Source:
+def source_of(function: Callable[..., object]) -> Source:
     """The source of a law, compiled or not."""
     function = getattr(function, "py_func", function)
     try:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 MAX_ROWS = 2_000_000
 """Largest number of rows of a run: with 140 numbers in a row 2.2 GB of memory, and 33 minutes at steps of 1 ms."""
 
-Report = Mapping[str, Any]  # Named values as in JSON.
+Report = Document  # Named values as in JSON.
 _VERSION = 4  # Version of the file format.
 _MAX_BYTES = 10**10  # Largest size of a file.
 

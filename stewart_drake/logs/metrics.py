@@ -120,7 +120,7 @@ def _both(
     for index, (what, size) in enumerate((("roll, pitch, yaw", "angle"), ("position", "distance"))):
         unit, scale = DISPLAY_UNITS[3 * index], SCALES[3 * index]
 
-        def value(rows: RunRows, index: int = index, scale: float = scale) -> Any:
+        def value(rows: RunRows, index: int = index, scale: float = scale) -> object:
             return scale * (of(rows).reshape(2, -1)[index] if by_axis else of(rows)[index])
 
         axes = AXES[3 * index : 3 * index + 3] if by_axis else ()

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from collections.abc import Callable, Mapping
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, TypeAdapter
@@ -222,7 +222,9 @@ class ControlOptions(Section):
 _ROBOT: TypeAdapter[RobotParameters | None] = TypeAdapter(AnyRobot | None)
 
 
-def _with_robots(data: Document, nominal: RobotParameters | None) -> tuple[Document, Any]:
+def _with_robots(
+    data: Document, nominal: RobotParameters | None
+) -> tuple[Document, Callable[[type[Section], Document], Document | None] | None]:
     """The keys with the robots read, and the defaults of these robots, and of how soon a command acts.
 
     Without the key `robot` it is `nominal`, or where that is None the one that is believed.

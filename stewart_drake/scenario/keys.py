@@ -127,7 +127,7 @@ def _log_once(line: str) -> None:
     logging.getLogger("stewart_drake").warning(f"stewart-drake: {line}")
 
 
-def _type_at(section: object, name: str) -> Any:
+def _type_at(section: object, name: str) -> object:
     """The family of kinds at a key of a section, or in a list there; else the class of the section there; else None."""
     field = getattr(section, "__pydantic_fields__", {}).get(name)
     types: list[object] = [] if field is None else [field.annotation, *field.metadata]
