@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -221,7 +221,7 @@ class Status(NamedTuple):
     numbers: slice = slice(6)  # Of the signal, for the message; by default a pose or crank angles.
 
 
-def failure(status: Status, leg: int, margin: float, arguments: Mapping[str, Any]) -> RunFailure:
+def failure(status: Status, leg: int, margin: float, arguments: Mapping[str, np.ndarray]) -> RunFailure:
     """Error of a failed tick, from the meaning of its status, leg (or -1), margin, and the kernel's arguments."""
 
     def value(place: str) -> np.ndarray:

@@ -131,7 +131,7 @@ def _sized(kind: type[_R], sizes: tuple[tuple[str, int], ...]) -> type[_R]:
     return type(kind.__name__, (kind,), {"_sizes": dict(sizes), "__module__": kind.__module__, "__annotations__": {}})
 
 
-def _shape(kind: object, sizes: dict[str, int]) -> Any:
+def _shape(kind: object, sizes: dict[str, int]) -> object:
     """Shape of a field, dtype of a record in it, None where a size is a name that is not known."""
     if kind is float:
         return ()
