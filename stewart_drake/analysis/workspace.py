@@ -9,10 +9,11 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import reach_margin, rotation_matrix
@@ -306,7 +307,7 @@ def study_poses(
     samples: int,
     directions: int,
     progress: Callable[[float], None] = lambda _: None,
-) -> tuple[dict[str, Any], dict[Kind, Survey]]:
+) -> tuple[Document, dict[Kind, Survey]]:
     """Workspaces around a centre (6,) [rad, m]: plain numbers, and surveys of positions and orientations.
 
     Sizes are in m^3, or shares of all orientations.

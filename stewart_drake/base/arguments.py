@@ -11,7 +11,7 @@ from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.keys import join_or
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
+_Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 def _classes(hint: object) -> tuple[type, ...]:

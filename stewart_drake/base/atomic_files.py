@@ -148,7 +148,7 @@ def plain_json(document: Mapping[str, object]) -> Document:
     """
     not_finite: dict[str, str] = {}
 
-    def plain(value: Any, name: str) -> Any:
+    def plain(value: object, name: str) -> Any:
         value = value.tolist() if hasattr(value, "tolist") else value
         if isinstance(value, float) and not math.isfinite(value):
             not_finite[name.removeprefix(".")] = repr(float(value))

@@ -23,7 +23,7 @@ from typing import Any, Self
 from pydantic import ValidationInfo
 from pydantic_core import CoreSchema, core_schema
 
-from stewart_drake.base.atomic_files import digest, read_checked
+from stewart_drake.base.atomic_files import Document, digest, read_checked
 from stewart_drake.base.config import Reading, as_problem, did_you_mean
 from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.base.yaml_files import shipped_folder
@@ -42,11 +42,11 @@ class CodePath(os.PathLike[str]):
 
     place: str  # Its module, or the whole path of its file.
     name: str
-    given: Any = field(default=None, hash=False)  # In Python; None otherwise.
+    given: object = field(default=None, hash=False)  # In Python; None otherwise.
     trusted: bool = field(default=True, compare=False)  # Whether it may run.
 
     @classmethod
-    def of(cls, value: Any, trust_code: bool = False) -> Self:
+    def of(cls, value: object, trust_code: bool = False) -> Self:
         """From a text, relative paths from the current folder, or a class or object that was given in Python."""
         if isinstance(value, cls):
             return value
@@ -116,22 +116,22 @@ class CodePath(os.PathLike[str]):
         return repr(str(self))
 
     @classmethod
-    def _validate(cls, value: Any, info: ValidationInfo) -> Self:
+    def _validate(cls, value: object, info: ValidationInfo) -> Self:
         is_path = isinstance(value, str) and re.fullmatch(CLASS_PATH, value)
         if not is_path and not isinstance(value, (cls, type)):
             raise as_problem(ConfigurationError("", value, _FORMS))
         return cls.of(value, isinstance(info.context, Reading) and info.context.trust_code)
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> CoreSchema:
+    def __get_pydantic_core_schema__(cls, source: object, handler: object) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(cls._validate)
 
     @classmethod
-    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: Any) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: object) -> Document:
         return {"type": "string", "pattern": CLASS_PATH}
 
 
-def path_of(given: Any) -> str:
+def path_of(given: object) -> str:
     """The path, for a file, of a class or an object that was given in Python."""
     kind = given if isinstance(given, type) or inspect.isfunction(given) else type(given)
     return f"{kind.__module__}:{kind.__name__}"
@@ -191,7 +191,7 @@ class UserCode(AbstractContextManager[None]):
     def __init__(self, *modules: str) -> None:
         self._modules = modules
 
-    def __exit__(self, kind: Any, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: TracebackType | None) -> None:
         if not self._modules or trace is None or error is None or isinstance(error, (RunFailure, KeyboardInterrupt)):
             return
         # The first frame is the one that has this guard; without another, the user's code could not even be called.
@@ -230,7 +230,7 @@ NAME_OR_FILE_KEYS = (ROBOT_KEY, "model_file")
 """At them a text is a file where it has a folder or an ending, else the name of a robot."""
 
 
-def anchored(data: Any, folder: Path) -> Any:
+def anchored(data: object, folder: Path) -> Any:
     """A copy of plain values in which paths of weights, motions, robots and code are absolute, from `folder`.
 
     That is where the file lies that they come from; for a command line the current folder.
@@ -238,7 +238,7 @@ def anchored(data: Any, folder: Path) -> Any:
     return with_texts(data, lambda key, text: str((folder / text).absolute()) if _file_in(key, text) else text)
 
 
-def file_digests(data: Any) -> dict[str, str | None]:
+def file_digests(data: object) -> dict[str, str | None]:
     """Path of every file named in plain values -> sha256 of its content, None if it cannot be read.
 
     The file of a module is known once that is imported.
@@ -256,7 +256,7 @@ def file_digests(data: Any) -> dict[str, str | None]:
     return {path: digest(path) for path in sorted(paths)}
 
 
-def with_texts(data: Any, change: Callable[[str, str], str], key: str = "") -> Any:
+def with_texts(data: object, change: Callable[[str, str], str], key: str = "") -> Any:
     """A copy of plain values with every text changed by a function of the last part of its key and the text.
 
     Of a list it is the key of the list; of `values`, from which a sweep chooses, the key above.

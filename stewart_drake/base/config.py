@@ -36,6 +36,7 @@ from pydantic import (
 from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.keys import TINY, Key, all_keys, allowed_text, join_or, keys_of, part_at, unit_and_text
 from stewart_drake.base.units import in_unit, or_text, smaller_unit, wrong_unit
@@ -46,7 +47,7 @@ MAX_SEED = 2**63 - 1
 def with_message(text: str) -> WrapValidator:
     """The message for a value that a type does not take; must come last in `Annotated`."""
 
-    def checked(value: Any, handler: Callable[[Any], Any]) -> Any:
+    def checked(value: object, handler: Callable[[object], object]) -> object:
         try:
             return handler(value)
         except ValidationError:
@@ -81,10 +82,10 @@ Vector6 = tuple[Real, Real, Real, Real, Real, Real]
 PositivePair = tuple[Positive, Positive]
 
 
-def one_for_six(number: Any) -> BeforeValidator:
+def one_for_six(number: object) -> BeforeValidator:
     """In `Annotated` of six numbers of one type: a single number is accepted for all six."""
 
-    def repeated(value: Any) -> Any:
+    def repeated(value: object) -> object:
         return (value,) * 6 if isinstance(value, (int, float)) else value
 
     return BeforeValidator(repeated, json_schema_input_type=number | tuple[(number,) * 6])  # type: ignore[misc]
@@ -99,17 +100,17 @@ class Reading(NamedTuple):
 
     trust_code: bool = False
     """Whether code that is named in the values may run."""
-    defaults: Callable[[type[Section], dict[str, Any]], dict[str, Any] | None] | None = None
+    defaults: Callable[[type[Section], Document], Document | None] | None = None
     """Adds to the keys of a section those whose defaults follow the robot; None for a section that has no such keys."""
 
 
 class InOtherKinds:
     """The value of a key for kinds that do not have it: `rod_joint = InOtherKinds("universal")` in their base class."""
 
-    def __init__(self, value: Any) -> None:
+    def __init__(self, value: object) -> None:
         self._value = value
 
-    def __get__(self, section: Any, _: Any = None) -> Any:
+    def __get__(self, section: object, _: object = None) -> Any:
         if section is None:
             raise AttributeError  # Else pydantic warns where a kind has the key.
         return self._value
@@ -142,7 +143,7 @@ class Section(BaseModel):
     _nulls: frozenset[str] = PrivateAttr(frozenset())
     """Keys that were given as null, in place of which a default was filled in."""
 
-    def __init__(self, /, **keys: Any) -> None:
+    def __init__(self, /, **keys: object) -> None:
         self._read(keys, Reading(), self_instance=self)
 
     # Without this mark pydantic would make the sections in a section by calling the constructor.
@@ -154,7 +155,7 @@ class Section(BaseModel):
             cls.section_key = key
 
     @classmethod
-    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+    def __pydantic_init_subclass__(cls, **_: object) -> None:
         """Takes over the texts of inherited fields, and adds the keys to the docstring."""
         cls._text = inspect.cleandoc(cls.__dict__.get("__doc__") or "")
         texts, units, sections = [f"{cls._text}\n\nKeys:"], {}, []
@@ -169,12 +170,12 @@ class Section(BaseModel):
         cls.__doc__, cls._units = "\n".join(texts), units
 
     @classmethod
-    def from_dict(cls, data: Any, key: str | None = None) -> Self:
+    def from_dict(cls, data: object, key: str | None = None) -> Self:
         """A section from plain values, as YAML gives them; `key` is its place in messages, by default the class's."""
         return cls._read(data, Reading(), key)
 
     @classmethod
-    def _read(cls, data: Any, reading: Reading, key: str | None = None, **details: Any) -> Self:
+    def _read(cls, data: object, reading: Reading, key: str | None = None, **details: Any) -> Self:
         # Numbers near the largest overflow to infinity, which the checks refuse; numpy need not warn as well.
         with np.errstate(all="ignore"):
             try:
@@ -184,7 +185,7 @@ class Section(BaseModel):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _completed(cls, data: Any, handler: Callable[[Any], Self], info: ValidationInfo) -> Self:
+    def _completed(cls, data: object, handler: Callable[[object], Self], info: ValidationInfo) -> Self:
         """Takes texts with units as numbers, fills in defaults that follow the robot, and checks the rules."""
         defaults = info.context.defaults if isinstance(info.context, Reading) else None
         given, private = data, None
@@ -226,7 +227,7 @@ class Section(BaseModel):
         schema = cls.model_json_schema()
         return list(all_keys(schema, schema)) if inside else keys_of(schema, schema)
 
-    def given(self) -> dict[str, Any]:
+    def given(self) -> Document:
         """The kind, and the keys that were given, with their values; a null that was given stays null."""
         names = [name for name in self.__pydantic_fields__ if name in self.model_fields_set or name == "kind"]
         return {name: None if name in self._nulls else getattr(self, name) for name in names}
@@ -235,7 +236,7 @@ class Section(BaseModel):
         """The same section with some keys changed, checked again."""
         return type(self)(**{name: getattr(self, name) for name in self.__pydantic_fields__} | changes)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> Document:
         """Every key with its value, in plain types."""
         return {name: to_plain(getattr(self, name)) for name in self.__pydantic_fields__}
 
@@ -251,13 +252,13 @@ class Section(BaseModel):
         return repr(self)
 
     @classmethod
-    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Document:
         result = handler(schema)
         cls.describe(handler.resolve_ref_schema(result))
         return result
 
     @classmethod
-    def describe(cls, schema: dict[str, Any]) -> None:
+    def describe(cls, schema: Document) -> None:
         """Adds the texts of the section and its keys to its JSON schema, and that a number may have a unit."""
         properties = schema["properties"]
         schema["description"] = cls._text
@@ -268,7 +269,7 @@ class Section(BaseModel):
                 properties[name].setdefault("description", field.description)
 
 
-def plain(value: Any) -> Any:
+def plain(value: object) -> Any:
     """NumPy's scalars as Python's, lists and one-dimensional arrays as tuples; anything else unchanged."""
     if isinstance(value, (np.floating, np.integer, np.bool_)):
         return value.item()
@@ -277,7 +278,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-def to_plain(value: Any) -> Any:
+def to_plain(value: object) -> Any:
     """A value of a section, or of NumPy, in types that JSON and YAML have."""
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
@@ -292,7 +293,7 @@ def to_plain(value: Any) -> Any:
     return {key: to_plain(item) for key, item in value.items()} if isinstance(value, Mapping) else value
 
 
-def check_plain(key: str, value: Any) -> None:
+def check_plain(key: str, value: object) -> None:
     """Raises a `ConfigurationError` for values that a file cannot hold."""
     try:
         json.dumps(value, allow_nan=False)
@@ -300,7 +301,7 @@ def check_plain(key: str, value: Any) -> None:
         raise ConfigurationError(key, value, f"plain values, all numbers finite ({error})") from None
 
 
-def check_value(key: str, value: Any, kind: Any, unit: str = "") -> None:
+def check_value(key: str, value: object, kind: object, unit: str = "") -> None:
     """Raises a `ConfigurationError` for a value that is not of a type, such as `LegNumber` or `Vector6`."""
     try:
         _adapter(kind).validate_python(plain(value))
@@ -323,7 +324,7 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 
 
 @lru_cache(maxsize=256)
-def _schema_of(kind: Any) -> dict[str, Any]:
+def _schema_of(kind: Any) -> Document:
     return TypeAdapter(kind).json_schema()
 
 
@@ -336,7 +337,7 @@ def shorten(key: str) -> str:
     return key if len(key) <= 60 else f"{key[:57]}..."
 
 
-def did_you_mean(given: Any, known: Iterable[str]) -> str:
+def did_you_mean(given: object, known: Iterable[str]) -> str:
     """`; did you mean X?` if a known name is close to the given one, else an empty text."""
     if not isinstance(given, str) or not given:
         return ""
@@ -345,12 +346,12 @@ def did_you_mean(given: Any, known: Iterable[str]) -> str:
     return f"; did you mean {close[0]}?" if close else ""
 
 
-def choices_text(given: Any, choices: Sequence[str]) -> str:
+def choices_text(given: object, choices: Sequence[str]) -> str:
     """Choices in words, and the closest one."""
     return join_or(choices) + did_you_mean(given, choices)
 
 
-def unknown_key(key: Any, keys: Sequence[str], kinds: Sequence[str] = ()) -> str:
+def unknown_key(key: object, keys: Sequence[str], kinds: Sequence[str] = ()) -> str:
     """The message for an unknown key; `kinds` are other kinds of the section that have it."""
     guess = f"; kind {join_or(kinds)} has it." if kinds else did_you_mean(key, keys)
     return f"no such key{guess}{' The' if guess else '; the'} keys here are {', '.join(keys)}"
@@ -362,7 +363,7 @@ def as_problem(error: ConfigurationError) -> PydanticCustomError:
     return PydanticCustomError("rule", "expected {allowed}", {"error": error, "allowed": error.allowed})
 
 
-def explain(error: ValidationError, kind: Any, data: Any, unit: str = "") -> ValidationError:
+def explain(error: ValidationError, kind: object, data: object, unit: str = "") -> ValidationError:
     """What pydantic found wrong with the data of a section, or of another type with a unit, in our words."""
     lines = []
     for report in error.errors(include_url=False):
@@ -371,7 +372,7 @@ def explain(error: ValidationError, kind: Any, data: Any, unit: str = "") -> Val
     return ValidationError.from_exception_data("section", lines)
 
 
-def _problem(report: Any, kind: Any, data: Any, unit: str) -> tuple[tuple[Any, ...], ConfigurationError]:
+def _problem(report: Any, kind: object, data: Any, unit: str) -> tuple[tuple[int | str, ...], ConfigurationError]:
     """Where a report of pydantic is, and what is wrong there."""
     error, location, value, context = report["type"], report["loc"], report["input"], report.get("ctx", {})
     path = location
@@ -421,7 +422,7 @@ def _as_one(error: ValidationError, key: str) -> ConfigurationError:
     return first
 
 
-def _type_of(field: FieldInfo | None) -> Any:
+def _type_of(field: FieldInfo | None) -> object:
     if field is None:
         return None
     return Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation

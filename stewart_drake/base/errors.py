@@ -14,12 +14,14 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
+
+    from stewart_drake.base.atomic_files import Document
 
 
 class StewartDrakeError(Exception):
@@ -27,7 +29,7 @@ class StewartDrakeError(Exception):
 
     reason: str = "error"
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         # The constructors take data, not the message; by default an error could not come back from a worker process.
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
@@ -202,7 +204,7 @@ class DrakeCheckError(RunFailure):
 class SafetyStop(RunFailure):
     """The safety layer ended the run; `reason` is the monitor's name, `trip` the first trip of the run."""
 
-    def __init__(self, monitor: str, message: str, leg: int | None, trip: Mapping[str, Any] | None) -> None:
+    def __init__(self, monitor: str, message: str, leg: int | None, trip: Document | None) -> None:
         self.reason, self.trip = monitor, trip
         super().__init__(message, leg)
 
@@ -219,7 +221,7 @@ class Status(NamedTuple):
     numbers: slice = slice(6)  # Of the signal, for the message; by default a pose or crank angles.
 
 
-def failure(status: Status, leg: int, margin: float, arguments: Mapping[str, Any]) -> RunFailure:
+def failure(status: Status, leg: int, margin: float, arguments: Mapping[str, np.ndarray]) -> RunFailure:
     """Error of a failed tick, from the meaning of its status, leg (or -1), margin, and the kernel's arguments."""
 
     def value(place: str) -> np.ndarray:
@@ -314,10 +316,10 @@ def pose_text(pose: np.ndarray) -> str:
 
 
 def _shown(value: object) -> str:
-    """Any value in one short line."""
+    """A value in one short line."""
     try:
         text = " ".join(repr(value).split())
-    except Exception:  # Any error of its __repr__; Python refuses to print thousands of digits.
+    except Exception:  # Whatever its __repr__ raises; Python refuses to print thousands of digits.
         text = f"<{type(value).__name__}>"
     return text if len(text) <= 120 else f"{text[:117]}..."
 

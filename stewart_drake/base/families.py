@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import Field, GetJsonSchemaHandler, PrivateAttr, ValidationInfo
 from pydantic_core import CoreSchema, core_schema
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.code import CLASS_PATH, CodePath, path_of, source_of
 from stewart_drake.base.config import Reading, Section, as_problem, check_plain, choices_text
 from stewart_drake.base.errors import ConfigurationError
@@ -47,7 +48,7 @@ class Table:
             self._lines[name] = imported(self._lines[name])
         return self._lines[name]
 
-    def add(self, name: str, thing: Any) -> None:
+    def add(self, name: str, thing: object) -> None:
         """Adds an object; raises a `ConfigurationError` if the name is taken."""
         self._check_new(name)
         self._lines[name] = thing
@@ -69,15 +70,15 @@ class Table:
                     sources[kind] = f"{sources.get(kind, '')}{source_of(part)}{source_of(sys.modules.get(module))}"
         return sources
 
-    def _validate(self, value: Any, _: ValidationInfo) -> Any:
+    def _validate(self, value: object, _: ValidationInfo) -> object:
         if isinstance(value, str) and value in self._lines:
             return value
         raise as_problem(ConfigurationError("", value, choices_text(value, self.names)))
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> CoreSchema:
+    def __get_pydantic_core_schema__(self, source: object, handler: object) -> CoreSchema:
         return core_schema.with_info_plain_validator_function(self._validate)
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Document:
         return {"enum": self.names, "type": "string"}
 
 
@@ -97,7 +98,7 @@ class Family(Table):
 
     def __init__(
         self,
-        lines: dict[str, Any],
+        lines: dict[str, object],
         default: str | None = None,
         user_section: str | None = None,
         methods: tuple[str, ...] = (),
@@ -147,7 +148,7 @@ class Family(Table):
         self._check_new(name)
         self._paths[name] = path
 
-    def normalise(self, data: Any) -> Any:
+    def normalise(self, data: object) -> object:
         """What is given for a part as keys: a kind alone, or a user's class or object, becomes `{"kind": ...}`."""
         if isinstance(data, type) and issubclass(data, Section):
             return data()
@@ -162,7 +163,7 @@ class Family(Table):
             data["kind"] = CodePath.of(kind)
         return data
 
-    def resolve(self, data: Any) -> Any:
+    def resolve(self, data: object) -> Any:
         """Class of the section that is given for a part; None where it is none of these."""
         data = self.normalise(data)
         kind = data.get("kind", self.default) if isinstance(data, Mapping) else getattr(data, "kind", None)
@@ -173,7 +174,7 @@ class Family(Table):
     def _user_section(self) -> Any:
         return None if self._user_line is None else imported(self._user_line)
 
-    def is_user_code(self, kind: Any) -> bool:
+    def is_user_code(self, kind: object) -> bool:
         """Whether a kind is a user's import path, class or object."""
         if self._user_line is None or kind is None or isinstance(kind, (Section, Mapping)):
             return False
@@ -181,7 +182,7 @@ class Family(Table):
             return ":" in kind or kind in self._paths
         return isinstance(kind, (type, CodePath)) or any(hasattr(kind, method) for method in self._methods)
 
-    def section(self, value: Any, reading: Reading | None = None) -> Any:
+    def section(self, value: object, reading: Reading | None = None) -> Any:
         """The section of what is given for a part, checked."""
         value = self.normalise(value)
         section = self.resolve(value)
@@ -189,10 +190,10 @@ class Family(Table):
             raise as_problem(self._refusal(value))
         return section.__pydantic_validator__.validate_python(value, context=reading)
 
-    def _validate(self, value: Any, info: ValidationInfo) -> Any:
+    def _validate(self, value: object, info: ValidationInfo) -> object:
         return self.section(value, info.context)
 
-    def _refusal(self, value: Any) -> ConfigurationError:
+    def _refusal(self, value: object) -> ConfigurationError:
         if not isinstance(value, (Mapping, Section)):
             allowed = f"a section with kind {join_or(self.choices)}, or such a kind alone"
             allowed = self._choices_text(value) if isinstance(value, str) else allowed
@@ -201,12 +202,12 @@ class Family(Table):
         required = "; this key is required" if isinstance(value, Mapping) and "kind" not in value else ""
         return ConfigurationError("kind", kind, f"{self._choices_text(kind)}{required}")
 
-    def _choices_text(self, kind: Any) -> str:
+    def _choices_text(self, kind: object) -> str:
         return self._former.get(str(kind), choices_text(kind, self.choices))
 
-    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+    def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> Document:
         sections = {kind: self[kind] for kind in self.kinds} | ({None: self._user_section} if self._user_line else {})
-        ways: list[dict[str, Any]] = []
+        ways: list[Document] = []
         alone = list(self._paths)
         for kind, section in sections.items():
             ways.append({**handler.resolve_ref_schema(handler(section.__pydantic_core_schema__))})
@@ -263,7 +264,7 @@ class UserMade(Section):
             raise ConfigurationError(self.code_key, self.code, f"a class, not a {type(loaded).__name__}")
         return loaded if isinstance(loaded, type) else type(loaded)
 
-    def new_object(self, offered: Mapping[str, Any]) -> Any:
+    def new_object(self, offered: Mapping[str, object]) -> Any:
         """A new object, from `arguments` and those of `offered` that the constructor names; or the object given."""
         kind, given = self.load(), self.code.given
         if given is not None and not isinstance(given, type):
@@ -286,7 +287,7 @@ class UserMade(Section):
         """The error for a class that does something else than required."""
         return ConfigurationError(self.code_key, self.code, f"a class whose {self.asked}, not {answer}")
 
-    def numbers(self, answer: Any) -> np.ndarray:
+    def numbers(self, answer: object) -> np.ndarray:
         """What a method of the object returned, as an array; raises a `ConfigurationError` if it is not numbers."""
         try:
             return np.asarray(answer, dtype=float)
@@ -294,7 +295,7 @@ class UserMade(Section):
             raise self.refusal(f"a {type(answer).__name__} that is not an array of numbers") from None
 
 
-def given_keys(value: Any) -> Any:
+def given_keys(value: object) -> Any:
     """The keys that were given, of the sections inside too; plain values except for code, which stays trusted."""
     if isinstance(value, Section):
         value = value.given()
@@ -303,25 +304,25 @@ def given_keys(value: Any) -> Any:
     return {key: given_keys(item) for key, item in value.items()} if isinstance(value, Mapping) else value
 
 
-def refuse_given(section: Any) -> None:
+def refuse_given(section: object) -> None:
     """Refuses classes and objects that were given in Python, where results are stored and identified by files."""
     for part in user_parts(section):
         if part.code.given is not None:
             raise ConfigurationError(part.code_key, part.code, "a class by its import path, to run it many times")
 
 
-def user_parts(section: Any) -> list[UserMade]:
+def user_parts(section: object) -> list[UserMade]:
     """All sections for a user's class in a section."""
     return [part for _, part in placed(section, UserMade)]
 
 
-def place_users(section: Any) -> None:
+def place_users(section: object) -> None:
     """Gives the sections for users' classes their keys in a scenario, for messages."""
     for place, part in placed(section, UserMade):
         part._place = place
 
 
-def placed(section: Any, kind: type[_Kind], place: str = "") -> Iterator[tuple[str, _Kind]]:
+def placed(section: object, kind: type[_Kind], place: str = "") -> Iterator[tuple[str, _Kind]]:
     """All sections of a class in a section, itself included, with their keys."""
     if isinstance(section, kind):
         yield place, section

@@ -14,13 +14,13 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
 from numba.core import caching
 
-_F = TypeVar("_F", bound=Callable[..., Any])
+_F = TypeVar("_F", bound=Callable[..., object])
 
 _PREFIX = "compiled-"
 _PACKAGE = Path(__file__).parents[1]
@@ -61,10 +61,10 @@ def specialised(function: Any, arguments: Sequence[object]) -> Callable[..., Any
     Skips numba's type dispatch, which is as slow as a small law; the types are not checked.
     """
     if _CONFIG.DISABLE_JIT or not any(function is law for law in _LAWS):
-        return cast("Callable[..., Any]", function)
+        return function
     types = tuple(map(_typeof, arguments))
     function.compile(types)
-    return cast("Callable[..., Any]", function.overloads[types].entry_point)
+    return function.overloads[types].entry_point
 
 
 class _Cache(_FunctionCache):

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-Schema = Mapping[str, Any]
+from stewart_drake.base.atomic_files import Document
+
+Schema = Document
 TINY = float(np.finfo(float).tiny)
 """Smallest number with a finite reciprocal; positive numbers must be at least this."""
 _LARGEST_SHOWN = 1e15  # Larger bounds are left out of messages.

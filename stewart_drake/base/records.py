@@ -82,7 +82,7 @@ class Record(_Base):
         return _sized(cls, tuple(sorted(sizes.items())))  # type: ignore[arg-type]
 
     @classmethod
-    def new(cls, options: Any = None, **values: Any) -> Self:
+    def new(cls, options: object = None, **values: object) -> Self:
         """A structured array (1,) with named values; what is not given is that attribute of the options, or zero.
 
         An attribute that is None, a limit that is off, is infinite.
@@ -131,7 +131,7 @@ def _sized(kind: type[_R], sizes: tuple[tuple[str, int], ...]) -> type[_R]:
     return type(kind.__name__, (kind,), {"_sizes": dict(sizes), "__module__": kind.__module__, "__annotations__": {}})
 
 
-def _shape(kind: Any, sizes: dict[str, int]) -> Any:
+def _shape(kind: object, sizes: dict[str, int]) -> object:
     """Shape of a field, dtype of a record in it, None where a size is a name that is not known."""
     if kind is float:
         return ()

@@ -24,7 +24,7 @@ _TEXT = r"^[-+.\d]+ *[A-Za-z°]"
 _MEASURE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([A-Za-z°][\w/^ ]*?)\s*")
 
 
-def in_unit(value: Any, units: str, index: int = 0, length: int = 1) -> Any:
+def in_unit(value: object, units: str, index: int = 0, length: int = 1) -> Any:
     """Converts a text such as `30 deg`, also in lists, to a number in the unit of a field; other values stay.
 
     Several units, `rad, m`, are for equal parts of a list, where `index` is a place.
@@ -78,7 +78,7 @@ def _reciprocal(number: str, name: str, wanted: str) -> str:
     return f" ({number} {name} is a period of {inverse:g} s)"
 
 
-def or_text(schema: Any) -> Any:
+def or_text(schema: object) -> object:
     """A JSON schema in which every number may also be a text with a unit."""
     if isinstance(schema, list):
         return [or_text(item) for item in schema]

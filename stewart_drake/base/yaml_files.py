@@ -83,7 +83,7 @@ def _yaml() -> YAML:
 
 
 @lru_cache(maxsize=64)
-def _loaded(text: str) -> Any:
+def _loaded(text: str) -> object:
     yaml = _yaml()
     yaml.Composer = _PlainComposer
     return yaml.load(text)
@@ -128,7 +128,7 @@ def to_yaml(data: object) -> str:
 class _PlainComposer(Composer):
     """Refuses aliases, and so merge keys: a few nested ones can exhaust the memory."""
 
-    def compose_node(self, parent: Any, index: Any) -> Any:
+    def compose_node(self, parent: object, index: object) -> object:
         if self.parser.check_event(AliasEvent):
             event = self.parser.peek_event()
             raise MarkedYAMLError(problem=f"an alias, *{event.anchor}", problem_mark=event.start_mark)

@@ -8,6 +8,7 @@ import os
 import signal
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -89,7 +90,7 @@ def shown_compiling() -> Iterator[None]:
     from numba.core import event
 
     bar, depth, laws = working(""), 0, 0
-    interrupts: list[tuple[Any, ...]] = []
+    interrupts: list[tuple[int, FrameType | None]] = []
     handler = signal.getsignal(signal.SIGINT)
 
     class Line(event.Listener):
@@ -118,7 +119,7 @@ def shown_compiling() -> Iterator[None]:
             _set_interrupt(handler)
 
 
-def _set_interrupt(handler: Any) -> None:
+def _set_interrupt(handler: Callable[[int, FrameType | None], object] | int | None) -> None:
     # Only the main thread can set handlers, and handlers of C code cannot be set again.
     with suppress(ValueError, TypeError):
         signal.signal(signal.SIGINT, handler)

@@ -6,12 +6,12 @@ The law is in `adaptation_laws`; this file has its options, its part of the loop
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.atomic_files import checksum
+from stewart_drake.base.atomic_files import Document, checksum
 from stewart_drake.base.config import Flag, Positive, Real
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.control.adaptation_laws import regression_tick
@@ -38,6 +38,9 @@ from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import Legs, robot_record
 from stewart_drake.robot import RobotParameters
+
+if TYPE_CHECKING:
+    from stewart_drake.scenario.control_options import Model
 
 # Initial standard deviations of the unknowns.
 SIZE_HEAD = 0.25  # [-] logarithm of the head's mass.
@@ -146,7 +149,7 @@ def rows_of(known: Mapping[str, np.ndarray]) -> list[tuple[str, str]]:
     return lines
 
 
-def model_of(known: Mapping[str, np.ndarray], before: Any) -> dict[str, Any]:
+def model_of(known: Mapping[str, np.ndarray], before: Any) -> Document:
     """Robot, motors and friction as keys of `model`: those of the model before, with what was learnt."""
     robot, motors, friction = before.robot, before.motors, before.friction
     value = Learnt.of(known["learnt"])
@@ -168,7 +171,7 @@ def model_of(known: Mapping[str, np.ndarray], before: Any) -> dict[str, Any]:
     return keys | {"robot": {**robot.given(), **head}}
 
 
-def machine_text(model: Any) -> str:
+def machine_text(model: Model) -> str:
     """What is not learnt of a robot and its motors: its links, its kind of motors and a digest of it all."""
     robot, motors = model.robot, model.motors
     learnt = {*robot.heavier(1.0), "platform_center_of_mass", *_LEARNT_OF_MOTORS}

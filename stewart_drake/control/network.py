@@ -10,11 +10,11 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
-from stewart_drake.base.atomic_files import PACKAGE, plain_json, read_checked, seal, unseal, write_atomically
+from stewart_drake.base.atomic_files import PACKAGE, Document, plain_json, read_checked, seal, unseal, write_atomically
 from stewart_drake.base.config import Real, Window, check_value
 from stewart_drake.base.errors import ConfigurationError, Status
 from stewart_drake.base.jit import njit
@@ -93,7 +93,7 @@ class Mlp:
     hidden_bias: np.ndarray
     output_weights: np.ndarray
     output_bias: np.ndarray
-    provenance: dict[str, Any] = field(default_factory=dict, kw_only=True)
+    provenance: Document = field(default_factory=dict, kw_only=True)
 
     def __post_init__(self) -> None:
         layout = self._sized().layout
@@ -154,7 +154,7 @@ class Mlp:
             if not isinstance(values.setdefault("provenance", {}), dict):
                 raise ConfigurationError("provenance", values["provenance"], "a mapping")
             names = [entry.name for entry in dataclasses.fields(cls)]
-            arguments: dict[str, Any] = {name: values.get(cls.file_names.get(name, name)) for name in names}
+            arguments: Document = {name: values.get(cls.file_names.get(name, name)) for name in names}
             return cls(**arguments)
         except ConfigurationError as error:
             raise ConfigurationError(f"{key}: {error.key}", error.value, error.allowed) from None

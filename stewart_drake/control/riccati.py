@@ -5,9 +5,9 @@ State order is the paper's: [phi, phi', theta, theta', psi, psi', X, X', Y, Y', 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -88,7 +88,7 @@ SMALLEST_SINGULAR_VALUE = 1e-13
 
 
 @cache  # An import from pydrake.math takes longer than a solution.
-def equation_of_drake() -> Any:
+def equation_of_drake() -> Callable[..., np.ndarray]:
     """Drake's DiscreteAlgebraicRiccatiEquation; a ConfigurationError where Drake is not installed.
 
     Deviation: the standard equation; (32) as printed lacks a factor, and its sizes do not fit.

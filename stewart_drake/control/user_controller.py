@@ -18,7 +18,7 @@ from stewart_drake.control.base import ControllerOptions, ControllerState, Measu
 from stewart_drake.loop.part import LoopContext, Part
 
 _EXPECTED = "a LeafSystem of pydrake, or what is called as torque = f(measurement, setpoint, time)"
-ControlFunction = Callable[[Measurement, Setpoint, float], Any]
+ControlFunction = Callable[[Measurement, Setpoint, float], object]
 """From a measurement, a setpoint and the time [s] to six torques [N m]."""
 
 

@@ -133,7 +133,7 @@ class Calibration(Result):
         """(6,) [rad] readings minus the true angles of the guess's convention."""
         return geometry.by_leg(self.change)[:, geometry.HOMING]
 
-    def rows(self) -> list[tuple[Any, ...]]:
+    def rows(self) -> list[tuple[object, ...]]:
         start, end = geometry.values_of(self.guess), OF_ROBOT
         numbers = np.stack([start, start + self.change[:end], self.half_width[:end]], axis=-1).tolist()
         return [(at // PER_LEG, *PARAMETERS[at][:3], *row) for at, row in enumerate(numbers)]

@@ -176,7 +176,7 @@ class Result(ABC):
     def title(self) -> str: ...
 
     @abstractmethod
-    def rows(self) -> list[tuple[Any, ...]]:
+    def rows(self) -> Sequence[tuple[object, ...]]:
         """A row of `columns` for each parameter, in SI units; the half width is that of the 95 % interval."""
 
     @abstractmethod
@@ -248,13 +248,13 @@ class Readings:
         refuse_cells(self.source, self.quantities, self.table, wrong, allowed)
 
     @classmethod
-    def of_table(cls, table: np.ndarray, source: str, **others: Any) -> Self:
+    def of_table(cls, table: np.ndarray, source: str, **others: object) -> Self:
         """Readings of a table (n, k) with all columns."""
         arrays = {name: table[:, column] for name, column in cls.columns.items()}
         return cls(**{**arrays, "source": source, **others})
 
     @classmethod
-    def of_file(cls, path: str | Path, source: str, **others: Any) -> Self:
+    def of_file(cls, path: str | Path, source: str, **others: object) -> Self:
         """Readings of a .csv or .parquet file whose columns may have other units and any order."""
         return cls.of_table(read_numbers(path, source, cls.quantities, *cls.largest), source, **others)
 

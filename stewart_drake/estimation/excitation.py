@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -118,7 +118,7 @@ def _changed(waves: np.ndarray, spread: float, rng: np.random.Generator) -> np.n
 
 def _reference(robot: RobotParameters, waves: np.ndarray) -> SumReference:
     """The series of sine and cosine amplitudes (2, harmonics, 6) [rad, m] about home."""
-    parts: list[Any] = [
+    parts = [
         SineReference(
             center=tuple(robot.home_pose.tolist()),
             amplitude=tuple(np.hypot(sine, cosine).tolist()),

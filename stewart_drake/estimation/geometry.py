@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.estimation import core
 from stewart_drake.estimation.core import Parameter
 from stewart_drake.mechanics.kinematics import newton, rod_length_errors, roll_pitch_yaw, rotation_matrix
@@ -131,7 +132,7 @@ def changed_record(guess: RobotParameters, change: np.ndarray) -> Robot:
 def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
     (record,) = changed_record(guess, change)
     ranges = guess.crank_angle_ranges + change[HOMING:OF_ROBOT:PER_LEG, None]
-    legs: list[dict[str, Any]] = [
+    legs: list[Document] = [
         {
             "shaft_position": record["shaft"][leg],
             "platform_joint": guess.tool_rotation @ record["joint"][leg] + guess.tool_position,

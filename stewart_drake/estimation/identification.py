@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -127,7 +127,7 @@ class Identification(Result):
                     names[at] += f" {'+' if amount > 0.0 else '-'} {abs(amount):.3g} {PARAMETERS[kept.at]}"
         return names
 
-    def rows(self) -> list[tuple[Any, ...]]:
+    def rows(self) -> list[tuple[str, str, str, float, float, float, str]]:
         """A row of `columns` for each parameter; torque constants as natural logarithms."""
         numbers = np.stack([torques.values_of(self.guess), self.values, self.half_width], axis=-1).tolist()
         rows = zip(PARAMETERS, numbers, self.base_parameters(), strict=True)
@@ -332,7 +332,7 @@ def _refuse_other(guess: RobotParameters, samples: Samples, values: np.ndarray) 
     raise ConfigurationError(samples.source, got, "a log of the guessed robot, angles in rad, torques in N m")
 
 
-def pseudo_inertia(guess: RobotParameters, values: Any) -> Any:
+def pseudo_inertia(guess: RobotParameters, values: np.ndarray) -> np.ndarray:
     """(4, 4) [kg] of the platform with lengths in those of the robot."""
     length = guess.characteristic_length
     inertia, moment = torques.inertia_matrix(values) / length**2, values[torques.MOMENT] / length

@@ -19,6 +19,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.base.tables import CRANK_ANGLES
 from stewart_drake.base.yaml_files import to_yaml
@@ -149,12 +150,12 @@ class ServoIdentification(Result):
         return with_head(self.guess, self.values)
 
     @property
-    def motors(self) -> dict[str, Any]:
+    def motors(self) -> Document:
         """For `model.motors`."""
         return motors_of(self.values)[0]
 
     @property
-    def friction(self) -> dict[str, Any]:
+    def friction(self) -> Document:
         """For `model.friction`: damping beyond the smallest motor's is viscous friction."""
         return motors_of(self.values)[1]
 
@@ -162,7 +163,7 @@ class ServoIdentification(Result):
         """`model` of a scenario, but for the robot; the motors' delay has that of the bus."""
         return to_yaml({"model": {"motors": self.motors, "friction": self.friction, "delay": 0}})
 
-    def rows(self) -> list[tuple[Any, ...]]:
+    def rows(self) -> list[tuple[str, str, str, float, float]]:
         numbers = zip(PARAMETERS, self.values.tolist(), self.half_width.tolist(), strict=True)
         return [(*parameter[:3], value, width) for parameter, value, width in numbers]
 
@@ -311,7 +312,7 @@ class _Regression:
         return np.array([*stiffness, *(motors["damping"] + known.viscous), *known.coulomb, *rest])
 
 
-def motors_of(values: np.ndarray) -> tuple[dict[str, Any], dict[str, Any]]:
+def motors_of(values: np.ndarray) -> tuple[Document, Document]:
     """Motors and friction as keys of `model`, of parameters (21,)."""
     values = feasible(values)
     stiffness, damping = float(values[STIFFNESS].mean()), float(values[DAMPING].min())

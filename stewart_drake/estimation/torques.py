@@ -16,7 +16,7 @@ import math
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -93,7 +93,7 @@ def as_robot(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
     )
 
 
-def inertia_matrix(values: np.ndarray) -> Any:
+def inertia_matrix(values: np.ndarray) -> np.ndarray:
     """Inertia matrix (3, 3) of the platform from parameters, which are numbers or symbolic expressions."""
     xx, yy, zz, xy, xz, yz = values[INERTIA]
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -281,7 +281,7 @@ def samples_of(guess: RobotParameters, recording: Recording, bandwidth: float | 
 
 def filtered(
     guess: RobotParameters, recording: CrankReadings, bandwidth: float | None = None
-) -> tuple[Samples, Callable[[np.ndarray], Any]]:
+) -> tuple[Samples, Callable[[np.ndarray], Callable[[np.ndarray], np.ndarray]]]:
     """Equations of a recording without torques, and a function that filters rows (n, 6) into a spline."""
     import scipy.interpolate
     import scipy.ndimage
@@ -344,7 +344,7 @@ def merge_samples(parts: Sequence[Samples]) -> Samples:
     """Joins the samples of several recordings."""
     ends = np.cumsum([0, *(len(part.time) for part in parts)]).tolist()
     arrays = ("time", "measured", "columns", "known", "rates", "used")
-    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
     return Samples(
         **joined,
         pieces=tuple(slice(start, end) for start, end in itertools.pairwise(ends)),

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 FIELDS = ("first", "second", "third", "fourth")  # Fields of the struct in which a function returns several numbers.
 BINARY = {ast.Add: ("+", c.SUM), ast.Sub: ("-", c.SUM), ast.Mult: ("*", c.PRODUCT), ast.Div: ("/", c.PRODUCT)}
 _COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
-_MATH: dict[Any, str] = {np.arcsin: "asin", np.arccos: "acos", np.arctan2: "atan2", np.abs: "fabs", abs: "fabs"}
+_MATH: dict[object, str] = {np.arcsin: "asin", np.arccos: "acos", np.arctan2: "atan2", np.abs: "fabs", abs: "fabs"}
 _MATH |= {getattr(np, name): name for name in ("sin", "cos", "tanh", "exp", "sqrt", "rint", "log10", "hypot")}
 _MATH |= {getattr(np, name): name for name in ("minimum", "maximum", "isfinite", "isnan")} | {np.sign: "sign_of"}
 
@@ -292,7 +292,7 @@ class Expressions:
             raise Untyped("an array with a computed size; write a constant")
         return Local(shape, zeros=zeros)
 
-    def _law(self, called: Any, values: Sequence[Value]) -> Value:
+    def _law(self, called: object, values: Sequence[Value]) -> Value:
         given = [self.made(x, self.fresh("local")) if isinstance(x, Local) else x for x in values]
         (name, kinds, written), texts = self.program.function(called, given), list[str]()
         for k, value in enumerate(given):

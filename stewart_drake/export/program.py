@@ -11,7 +11,7 @@ from __future__ import annotations
 import ast
 import re
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +39,14 @@ class Program:
     """The laws that have been printed so far, and what they need."""
 
     def __init__(self) -> None:
-        self._defined: dict[str, Any] = {}  # Name of a constant -> value; printed as `#define`.
+        self._defined: dict[str, object] = {}  # Name of a constant -> value; printed as `#define`.
         self._types: dict[str, str] = {}  # Name of a struct -> its definition; inner ones first.
         self._structs: dict[StructType, str] = {}  # Type of a record -> name of its struct.
         self._tables: dict[str, str] = {}  # Name of a constant array or record -> its definition.
         self._helpers: set[str] = set()  # Names of the functions of helpers.c that are called.
         self._functions: dict[str, str] = {}  # Name of a function -> its definition; callees first.
-        self._signatures: dict[Any, c.Signature] = {}  # Python function and types of arguments -> signature in C.
-        self._named: dict[str, Any] = {}  # Name in C -> the Python function that took it first.
+        self._signatures: dict[object, c.Signature] = {}  # Python function and types of arguments -> signature in C.
+        self._named: dict[str, object] = {}  # Name in C -> the Python function that took it first.
 
     def struct(self, of: StructType) -> str:
         """Name of a record's type in C: the class's name in snake case."""
@@ -73,7 +73,7 @@ class Program:
         self._types[name] = f"struct {name} {{\n{fields}}};"
         return f"struct {name}"
 
-    def constant(self, names: Sequence[str], value: Any, module: str) -> c.Scalar:
+    def constant(self, names: Sequence[str], value: object, module: str) -> c.Scalar:
         """A constant with its name in the source, or the plain number if that name has another value already."""
         known, name = number(value), "_".join(names).strip("_").upper()
         if known.text in ("INFINITY", "-INFINITY", "NAN", "true", "false") or value is np.pi:
@@ -142,7 +142,7 @@ class Program:
         return "\n\n".join(filter(None, blocks))
 
 
-def _free(hint: str, *taken: Any) -> str:
+def _free(hint: str, *taken: Iterable[str]) -> str:
     """The name `hint`, with a number if it is taken already or used in a template."""
     used = {"initial", "signals", "signal_at", "run_parts", "end_parts", "has_room"}.union(*taken)
     return next(name for name in (hint, *(f"{hint}_{n}" for n in range(2, 100))) if name not in used)

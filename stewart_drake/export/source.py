@@ -7,10 +7,10 @@ import inspect
 import io
 import textwrap
 import tokenize
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, get_type_hints
+from typing import NamedTuple, get_type_hints
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.records import Record
@@ -33,7 +33,7 @@ class Source(NamedTuple):
     file: str
     tree: ast.FunctionDef
     comments: dict[int, str]  # Line -> comment; only comments on a line of their own.
-    types: dict[str, Any]  # Types of the arguments, and of the result as `return`.
+    types: dict[str, object]  # Types of the arguments, and of the result as `return`.
     scope: dict[str, int]  # Variable -> line of its first assignment, if C can declare it there.
     leaking: set[str]  # Variables of loops that are used outside of them.
     avoided: frozenset[str]  # Names that no variable can have.
@@ -49,7 +49,7 @@ class Source(NamedTuple):
 
 
 @lru_cache(maxsize=1024)
-def _parsed(thing: Any) -> tuple[ast.stmt, dict[int, str], dict[int, str]]:
+def _parsed(thing: Callable[..., object]) -> tuple[ast.stmt, dict[int, str], dict[int, str]]:
     """Syntax of a function or class, and its comments by line: on separate lines, and beside code."""
     source, start = inspect.getsourcelines(thing)
     text = textwrap.dedent("".join(source))
@@ -63,7 +63,7 @@ def _parsed(thing: Any) -> tuple[ast.stmt, dict[int, str], dict[int, str]]:
 
 
 @lru_cache(maxsize=1024)
-def source_of(function: Any) -> Source:
+def source_of(function: Callable[..., object]) -> Source:
     """The source of a law, compiled or not."""
     function = getattr(function, "py_func", function)
     try:

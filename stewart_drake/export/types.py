@@ -15,7 +15,7 @@ from stewart_drake.base.records import Record
 
 # How strongly a C expression binds.
 ATOM, UNARY, PRODUCT, SUM, RELATION, EQUALITY, CONJUNCTION, DISJUNCTION, CHOICE = range(9, 0, -1)
-NUMBERS: dict[Any, str] = {bool: "bool", int: "int", float: "double"}  # Types in C, the narrower ones first.
+NUMBERS: dict[object, str] = {bool: "bool", int: "int", float: "double"}  # Types in C, the narrower ones first.
 
 
 class Untyped(Exception):
@@ -155,7 +155,7 @@ def described(value: Value) -> str:
     return value.of.kind.__name__ if isinstance(value, Struct) else type(value).__name__
 
 
-def struct_type(layout: np.dtype, base: Any = Record) -> StructType:
+def struct_type(layout: np.dtype, base: type[Record] = Record) -> StructType:
     """The type of a record by its dtype: that of a class, or one with its fields, which extends `base`."""
     kinds = [base] if isinstance(base, type) and issubclass(base, Record) else []
     for kind in kinds:
@@ -166,7 +166,7 @@ def struct_type(layout: np.dtype, base: Any = Record) -> StructType:
     return StructType(next((kind for kind in same if getattr(kind, "layout", None) is layout), same[0]), layout)
 
 
-def parameter(name: str, annotation: Any, given: Value) -> Value | None:
+def parameter(name: str, annotation: object, given: Value) -> Value | None:
     """A parameter of the annotated type, with the argument's sizes where that has none; None if it does not fit."""
     if isinstance(given, Scalar) and annotation in NUMBERS:
         kind = NUMBERS[annotation]
@@ -181,7 +181,7 @@ def parameter(name: str, annotation: Any, given: Value) -> Value | None:
     return None
 
 
-def result_kinds(annotation: Any) -> tuple[str, ...]:
+def result_kinds(annotation: object) -> tuple[str, ...]:
     """Types in C of the numbers that a function returns, by its annotation."""
     kinds = get_args(annotation) if get_origin(annotation) is tuple else (annotation,)
     if annotation is not type(None) and not all(kind in NUMBERS for kind in kinds):

@@ -5,11 +5,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.code import CodePath, UserCode
 from stewart_drake.base.config import InOtherKinds, LegNumber, Natural, NotNegative, Section, Seed, Share
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
@@ -223,7 +224,7 @@ class MotorOptions(Section, ABC, key="motors"):
         """Torques (6,) [N m] per unit of a command."""
         return np.ones(6)
 
-    def with_learnt(self, value: Learnt) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+    def with_learnt(self, value: Learnt) -> tuple[Document, np.ndarray, np.ndarray]:
         """Keys of the motors with the values of a `control.adaptation.Learnt`, and its friction.
 
         Returns the changed keys (none for motors that take torques), and viscous and Coulomb friction (6,) of the

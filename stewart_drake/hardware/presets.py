@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.families import Table
 
 
@@ -19,8 +20,8 @@ class Preset(NamedTuple):
     about: str
     coulomb: float = 0.0  # [N m].
     viscous: float = 0.0  # [N m s/rad].
-    position: Mapping[str, Any] | None = None
-    current: Mapping[str, Any] | None = None
+    position: Mapping[str, object] | None = None
+    current: Mapping[str, object] | None = None
 
 
 PRESETS = {
@@ -78,7 +79,7 @@ class Presets(Table):
     def __init__(self, kind: str) -> None:
         super().__init__({name: getattr(preset, kind) for name, preset in PRESETS.items() if getattr(preset, kind)})
 
-    def with_defaults(self, given: Mapping[str, Any]) -> dict[str, Any]:
+    def with_defaults(self, given: Mapping[str, object]) -> Document:
         """The keys, with the defaults of their preset."""
         preset = given.get("preset")
         return {**(self[preset] if preset in self.names else {}), **given}

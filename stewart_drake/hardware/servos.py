@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.config import Natural, NotNegative, Positive, Text, one_for_six
 from stewart_drake.base.errors import ConfigurationError, Status
 from stewart_drake.base.jit import njit
@@ -54,7 +55,7 @@ class _CommercialMotors(MotorOptions):
 
     @model_validator(mode="before")
     @classmethod
-    def _with_preset(cls, data: Any) -> Any:
+    def _with_preset(cls, data: object) -> object:
         return cls.presets.with_defaults(data) if isinstance(data, dict) else data
 
     @property
@@ -140,7 +141,7 @@ class PositionServos(_CommercialMotors):
         """The stops; without stops, a turn in both directions."""
         return np.clip(robot.crank_angle_ranges, -2.0 * np.pi, 2.0 * np.pi).T
 
-    def with_learnt(self, value: Learnt) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+    def with_learnt(self, value: Learnt) -> tuple[Document, np.ndarray, np.ndarray]:
         gains = self.gains * value.drive
         mean, damping = float(gains.mean()), max(0.0, self.damping + min(0.0, float(value.viscous.min())))
         keys = {"stiffness": mean / self.supply, "ratios": (gains / mean).tolist(), "damping": damping}
@@ -223,7 +224,7 @@ class CurrentMotors(_CommercialMotors):
     def gains(self) -> np.ndarray:
         return np.full(6, self.torque_constant)
 
-    def with_learnt(self, value: Learnt) -> tuple[dict[str, Any], np.ndarray, np.ndarray]:
+    def with_learnt(self, value: Learnt) -> tuple[Document, np.ndarray, np.ndarray]:
         """One constant for all motors; friction keeps its size in currents."""
         ratio = value.drive.mean() / value.drive
         viscous, coulomb = value.viscous * ratio, value.coulomb * ratio

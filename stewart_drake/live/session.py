@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from stewart_drake.base.atomic_files import plain_json
+from stewart_drake.base.atomic_files import Document, plain_json
 from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, one_line
 from stewart_drake.base.real_time import Pace
 from stewart_drake.base.tables import COORDINATES
@@ -38,7 +38,7 @@ from stewart_drake.scenario.scenario import Scenario
 
 SLICE = 0.02  # [s] of simulated time between two rows; commands are handled in between.
 MAX_LATENESS = 0.5  # [s] A loop that is later does not catch up: it then runs slower than real time.
-Command = Mapping[str, Any]  # From a page, as JSON; `do` is its name.
+Command = Document  # From a page, as JSON; `do` is its name.
 PageRow = dict[str, object]  # Values for a page, by name.
 CONTROLLERS: Mapping[str, Mapping[str, object]] = {
     "as in the scenario": {},

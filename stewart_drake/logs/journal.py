@@ -14,7 +14,7 @@ from zlib import crc32
 
 import numpy as np
 
-from stewart_drake.base.atomic_files import check_file, seal, unseal
+from stewart_drake.base.atomic_files import Document, check_file, seal, unseal
 from stewart_drake.base.code import file_digests
 from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError
 from stewart_drake.logs.metrics import assessed
@@ -126,8 +126,8 @@ def fields_of(
     scenario: Scenario,
     columns: Mapping[str, np.ndarray],
     ended_by: RunFailure | KeyboardInterrupt | None,
-    safety: Mapping[str, Any] | None = None,
-    **known: object,
+    safety: Document | None = None,
+    **known: Any,
 ) -> LogFields:
     """Fields of a `SimulationLog` from the columns of a drive and the first trip of the `safety` layer."""
     with np.errstate(all="ignore"):

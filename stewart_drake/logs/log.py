@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stewart_drake.base import tables
-from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.atomic_files import Document, write_atomically
 from stewart_drake.base.errors import ConfigurationError, installed_with
 from stewart_drake.base.keys import join_or
 from stewart_drake.logs.journal import JOURNAL, cut_off
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 MAX_ROWS = 2_000_000
 """Largest number of rows of a run: with 140 numbers in a row 2.2 GB of memory, and 33 minutes at steps of 1 ms."""
 
-Report = Mapping[str, Any]  # Named values as in JSON.
+Report = Document  # Named values as in JSON.
 _VERSION = 4  # Version of the file format.
 _MAX_BYTES = 10**10  # Largest size of a file.
 
@@ -139,7 +139,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
         """(n,) mask of the rows in the second half of the planned duration."""
         return self.rows.second_half
 
-    def outcome(self) -> dict[str, Any]:
+    def outcome(self) -> Document:
         """Attributes besides scenario and signals, as JSON values."""
         return {name: getattr(self, name) for name in _OUTCOME} | {"warnings": list(self.warnings)}
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from stewart_drake.base.atomic_files import NOT_FINITE, plain_json
+from stewart_drake.base.atomic_files import NOT_FINITE, Document, plain_json
 from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError, raised_at
 from stewart_drake.base.families import UserMade
 from stewart_drake.base.tables import AXES
@@ -103,7 +103,7 @@ class Metric:
         named = zip(self.parts, np.repeat(units, len(self.parts) // len(units)).tolist(), strict=True)
         return [Column(part, unit, f"{self.text}, {part.split('_')[1]}{half}") for part, unit in named]
 
-    def shown(self, value: Any) -> str:
+    def shown(self, value: object) -> str:
         """A value as text, with its unit."""
         if value is None or value == []:
             return "-"
@@ -120,7 +120,7 @@ def _both(
     for index, (what, size) in enumerate((("roll, pitch, yaw", "angle"), ("position", "distance"))):
         unit, scale = DISPLAY_UNITS[3 * index], SCALES[3 * index]
 
-        def value(rows: RunRows, index: int = index, scale: float = scale) -> Any:
+        def value(rows: RunRows, index: int = index, scale: float = scale) -> object:
             return scale * (of(rows).reshape(2, -1)[index] if by_axis else of(rows)[index])
 
         axes = AXES[3 * index : 3 * index + 3] if by_axis else ()
@@ -336,9 +336,9 @@ def columns(*scenarios: Scenario) -> tuple[Column, ...]:
     return _columns(metrics_of(*scenarios))
 
 
-def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:
+def flat(metrics: Document, *scenarios: Scenario) -> Document:
     """The result of `run_metrics` by table column; so are the names in `not_finite`."""
-    row: dict[str, Any] = {}
+    row: Document = {}
     named: dict[str, str] = {}
     for metric in metrics_of(*scenarios):
         parts, value = metric.parts or (metric.name,), metrics[metric.name]
@@ -348,22 +348,22 @@ def flat(metrics: Mapping[str, Any], *scenarios: Scenario) -> dict[str, Any]:
 
 
 def assessed(
-    rows: RunRows, trip: Mapping[str, Any] | None, end_time: float, ended_by: RunFailure | KeyboardInterrupt | None
-) -> dict[str, Any]:
+    rows: RunRows, trip: Document | None, end_time: float, ended_by: RunFailure | KeyboardInterrupt | None
+) -> Document:
     """Outcome, warnings and metrics of a run, as fields of a `SimulationLog`; see `assess`."""
     outcome, told = assess(rows, trip, end_time, ended_by), {"end_time": end_time, "safety": trip}
     warnings = tuple(plain_json(each) for each in find_warnings(outcome.status, rows, trip))
     return {**outcome._asdict(), **told, "warnings": warnings, "figures": figures_of(rows)}
 
 
-def figures_of(rows: RunRows) -> dict[str, Any]:
+def figures_of(rows: RunRows) -> Document:
     """Every metric of a run by name, in values that JSON has; None of what was not measured, or not finite."""
     known = is_measured(rows.signals) or not rows.steps
     with np.errstate(all="ignore"):
         return plain_json({each.name: each.value(rows) if known else None for each in metrics_of(rows.scenario)})
 
 
-def run_metrics(log: SimulationLog) -> dict[str, Any]:
+def run_metrics(log: SimulationLog) -> Document:
     """Outcome and metrics of a run as JSON values; all keys are always present.
 
     For a log from `run` the metrics use all control ticks, and peaks all steps of the plant. For other logs they use
@@ -389,7 +389,7 @@ def run_metrics(log: SimulationLog) -> dict[str, Any]:
     }
 
 
-def run_cost(figures: Mapping[str, Any], status: str, period: float, scales: CostScales) -> float:
+def run_cost(figures: Mapping[str, object], status: str, period: float, scales: CostScales) -> float:
     """`cost` of a run with a control `period` [s] from its metrics, at most `FAILED`; `FAILED` if not completed."""
     parts = [figures.get(name) for name in ("rmse_norm_deg", "rmse_norm_mm", "torque_change_rms")]
     if status != "completed" or None in parts:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.config import did_you_mean
 from stewart_drake.base.errors import ConfigurationError, RunFailure, SafetyStop, StewartDrakeError
 from stewart_drake.base.sampling import steps_per
@@ -308,7 +309,7 @@ class RunRows:
         found = first_standstill(robot, self.scenario.controller.period, cranks, self["reference"][rows])
         return None if found is None else (float(self.time[rows[found[0]]]), found[1])
 
-    def interventions(self) -> tuple[int, dict[str, Any] | None]:
+    def interventions(self) -> tuple[int, Document | None]:
         """Number of times that the safety layer took over; monitor, time and leg if it is in charge at the end."""
         if "safety" not in self.signals or not self.steps:
             return 0, None
@@ -339,7 +340,7 @@ def describe_outcome(status: str, reason: str | None, time: float | None = None)
 
 
 def assess(
-    rows: RunRows, trip: Mapping[str, Any] | None, end_time: float, ended_by: RunFailure | KeyboardInterrupt | None
+    rows: RunRows, trip: Document | None, end_time: float, ended_by: RunFailure | KeyboardInterrupt | None
 ) -> Outcome:
     """Outcome of a run, from its rows, the error that ended it, and the safety layer's first `trip`, or None."""
     if isinstance(ended_by, KeyboardInterrupt):
@@ -383,7 +384,7 @@ def _error_over_motion(rows: RunRows) -> str:
     return f"from {begin:.4g} to {end:.4g} s the RMS error was {ratio:.3g} times the motion"
 
 
-def find_warnings(status: Status, rows: RunRows, trip: Mapping[str, Any] | None) -> tuple[dict[str, Any], ...]:
+def find_warnings(status: Status, rows: RunRows, trip: Document | None) -> tuple[Document, ...]:
     """Warnings of a run: name, time [s], number and text."""
     events: list[tuple[str, float, float, str]] = []
     if rows.steps and not is_measured(rows.signals):

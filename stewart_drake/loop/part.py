@@ -23,6 +23,7 @@ from stewart_drake.robot import RobotParameters
 if TYPE_CHECKING:
     from stewart_drake.control.friction_compensation import FrictionCompensation
     from stewart_drake.control.tuners import Tuner
+    from stewart_drake.hardware.motors import MotorOptions
 
 Kernel = Callable[..., TickResult | None]
 NOTHING: Mapping[str, Any] = MappingProxyType({})
@@ -57,7 +58,7 @@ class Part(NamedTuple):
     # Status other than 0 -> its error, which may refer to parameters, constants, inputs and `state`.
     statuses: Mapping[int, Status] = MappingProxyType({})
     # Replaces `statuses`: from result and arguments to the error.
-    error: Callable[[TickResult, Mapping[str, Any]], RunFailure] | None = None
+    error: Callable[[TickResult, Mapping[str, np.ndarray]], RunFailure] | None = None
     # Port or parameter -> name of its signal, by default the same; or a constant array, for a port without a signal.
     connections: Mapping[str, str | np.ndarray] = NOTHING
     output_names: Mapping[str, str] = NOTHING  # Output -> name of its signal, by default the same.
@@ -127,7 +128,7 @@ class LoopContext(NamedTuple):
     reading: int  # Size of a reading: 6 crank angles [rad], or 12 of pose [rad, m] and its rate.
     noise: float  # [rad] of a reading, for an observer.
     friction: FrictionCompensation  # Model of the motors' friction; zeros for none.
-    motors: Any  # Model of the motors, a `hardware.motors.MotorOptions`.
+    motors: MotorOptions  # Model of the motors.
     tuner: Tuner  # With its file read.
     disturbance: float  # [rad/s^2 per sqrt(s)] expected by an observer; 0 without one.
     feedback: bool  # Whether the controller uses the measurement.
@@ -190,7 +191,7 @@ class BoundPart:
             self._health[:] = failure_code(error.reason), -1.0 if error.leg is None else error.leg
 
     def _error(self, result: TickResult) -> RunFailure:
-        named = dict(zip((*self.part.leading, *self.part.inputs), self.arguments, strict=False))
+        named: dict[str, Any] = dict(zip((*self.part.leading, *self.part.inputs), self.arguments, strict=False))
         named["state"] = self.state
         if self.part.error is not None:
             return self.part.error(result, named)

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from contextlib import suppress
 from functools import partial
-from typing import Any
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
 from scipy.integrate import solve_ivp
 
 from stewart_drake.analysis.feasibility import NEAR, sample_poses
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import ForwardKinematicsError, drake_guard
 from stewart_drake.mechanics.dynamics import task_bias, task_inertia
 from stewart_drake.mechanics.kinematics import (
@@ -111,7 +111,7 @@ def rod_spans(robot: RobotParameters, poses: np.ndarray) -> np.ndarray:
     return spans
 
 
-def newton_outcome(robot: RobotParameters, poses: np.ndarray, guess: np.ndarray) -> dict[str, Any]:
+def newton_outcome(robot: RobotParameters, poses: np.ndarray, guess: np.ndarray) -> Document:
     """Counts of poses (n, 6) for which Newton's method from `guess` finds the `same` pose, an `other`, or `failed`.
 
     `other_across`: an other pose beyond a parallel singularity. `error` [m]: shift plus turn times 1 m.

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import itertools
 from functools import partial
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.control.features import DensityKind
 from stewart_drake.paper.nine_experiments import distinct
 from stewart_drake.paper.reproduce import PAIRS, Claim, Reproduction, Result, followed
@@ -64,7 +65,7 @@ def reproduce(study: Reproduction) -> Result:
         study.tuner_file = study.folder / "tuner.json"
         results[density, "samples"].network.save(study.tuner_file)
     largest = np.array(feasible_amplitudes(base.robot, base.limits, base.gravity)[0])
-    scores: dict[str, dict[str, Any]] = {}
+    scores: dict[str, Document] = {}
     for (kind, split), result in results.items():
         of_sides = {side: {name: result.scores[f"{side} R^2 of log {name}"] for name in TARGETS} for side in SIDES}
         # None if the target is constant.

@@ -6,10 +6,10 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.control.network import TunerNetwork
 from stewart_drake.control.tuners import PaperTuner
 from stewart_drake.paper.reproduce import Claim, Reproduction, Result, outcome, pair_of, paper_scenario, score
@@ -91,7 +91,7 @@ def reproduce(study: Reproduction) -> Result:
                 if changed != scenario and (change in QUICK or not study.quick):
                     scenarios[name, change] = changed
         logs = study.run(scenarios, check=False)
-    effects_of: dict[str, Any] = {
+    effects_of: Document = {
         name: {
             "unchanged": {"score": score(logs[name, None])},
             "effects": [

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
 from stewart_drake.analysis.feasibility import NEAR, sample_poses
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import drake_guard
 from stewart_drake.control.riccati import (
     AXES,
@@ -210,7 +211,7 @@ def reproduce(study: Reproduction) -> Result:
     return Result(numbers, claims)
 
 
-def _singular(robot: RobotParameters, singularity: Singularity) -> dict[str, Any]:
+def _singular(robot: RobotParameters, singularity: Singularity) -> Document:
     axis, pose = int(np.abs(singularity.direction).argmax()), singularity.pose(robot)
     name, unit = COORDINATES[axis]
     return {

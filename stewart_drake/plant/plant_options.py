@@ -39,7 +39,7 @@ class Plant(Protocol):
     def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         """Moves by one step under torques (6,) [N m] of the motors and a wrench (6,) [N m, N] about P."""
 
-    def save(self) -> Any:
+    def save(self) -> object:
         """A copy of the state, for `restore` of a plant of the same kind."""
 
     def restore(self, state: Any) -> np.ndarray:

@@ -12,9 +12,10 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, LogLocator
 from numpy.typing import ArrayLike
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.plotting import style as look
 
-Row = Mapping[str, Any]
+Row = Document
 Rows = Sequence[Row]
 Styles = Mapping[str, Mapping[str, Any]]
 

@@ -108,6 +108,6 @@ def save_figure(figure: Figure, path: str | Path) -> None:
     stream, path = io.BytesIO(), Path(path)
     # Without date and versions, so that the same log gives the same file.
     omitted = ("Creator", "Producer", "CreationDate") if path.suffix == ".pdf" else ("Software",)
-    metadata: Any = dict.fromkeys(omitted)
+    metadata = dict.fromkeys(omitted)
     figure.savefig(stream, format=path.suffix[1:], dpi=DPI, facecolor="white", metadata=metadata)
     write_atomically(path, stream.getvalue())

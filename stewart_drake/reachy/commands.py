@@ -8,9 +8,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from stewart_drake.base.atomic_files import write_together
+from stewart_drake.base.atomic_files import Document, write_together
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
@@ -40,7 +39,7 @@ def _number(value: float) -> str:
     return f"{round(float(f'{value:.3g}'), 4) + 0.0:.6g}"
 
 
-def _cells(move: Move) -> tuple[bool, list[str], dict[str, Any]]:
+def _cells(move: Move) -> tuple[bool, list[str], Document]:
     """Whether a move is feasible; its largest demands and when they occur; and the same as data."""
     report, unreachable = check_move(load_robot(ROBOT), move)
     cells = [f"{_number(100.0 * unreachable)} %"]

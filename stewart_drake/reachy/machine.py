@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping
 from contextlib import ExitStack, suppress
 from typing import Any
 
 import numpy as np
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import installed_with
 from stewart_drake.machines import machine
 from stewart_drake.machines.machine import MachineError, Reading, Takes
@@ -57,7 +57,7 @@ class ReachyMachine:
         self.disconnect()
         self._errors = (OSError, EOFError, WebSocketException)
         # No limit of the queue: `read` empties it and uses the newest message.
-        options: dict[str, Any] = {"compression": None, "proxy": None, "max_queue": None}
+        options: Document = {"compression": None, "proxy": None, "max_queue": None}
         try:
             opened = connect(self._url, open_timeout=5.0, close_timeout=0.2, **options)
             self._socket = self._stack.enter_context(opened)
@@ -118,7 +118,7 @@ class ReachyMachine:
             self._strange = f"{text[:60]!r}"
         return True
 
-    def _handle(self, message: Mapping[str, Any]) -> None:
+    def _handle(self, message: Document) -> None:
         """Handles a message; raises any exception if it is invalid."""
         kind = message["type"]
         if kind == "joint_positions":
@@ -132,7 +132,7 @@ class ReachyMachine:
             self._off = (message.get("backend_status") or {}).get("motor_control_mode") != "enabled"
 
 
-def _numbers(given: Any, count: int, largest: float = 1e6) -> np.ndarray:
+def _numbers(given: object, count: int, largest: float = 1e6) -> np.ndarray:
     numbers = np.ravel(np.array(given, dtype=float))
     if numbers.shape != (count,) or not (np.abs(numbers) <= largest).all():
         raise ValueError(f"expected {count} numbers up to {largest:g}")

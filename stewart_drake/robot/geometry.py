@@ -9,12 +9,12 @@ import csv
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stewart_drake.base.atomic_files import read_checked
+from stewart_drake.base.atomic_files import Document, read_checked
 from stewart_drake.base.config import check_value
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.tables import no_header
@@ -109,7 +109,7 @@ _PAIR_RATIO = 1.5  # [-] Least distance of a shaft to the other shafts, over tha
 _SIDE = 0.05  # [-] Least sine of the angle between a partner and the centre.
 LEVEL_SPREAD = 0.01  # [-] Largest difference of the heights at which cranks are level, over the rod's length.
 _ALL_LENGTHS = ("crank_length", "rod_length", "home_height", "link_radius", "characteristic_length")
-_LENGTHS: dict[str, Any] = {**dict.fromkeys(_ALL_LENGTHS, Size), "platform_center_of_mass": Signed3}
+_LENGTHS: dict[str, object] = {**dict.fromkeys(_ALL_LENGTHS, Size), "platform_center_of_mass": Signed3}
 _CHECKED = _LENGTHS | dict.fromkeys(("platform_mass", "rod_mass", "crank_mass"), Size)
 _MAX_BYTES = 1_000_000
 _LINK_RADIUS = 0.005 / 0.11  # [-] Over the characteristic length, as in the paper's robot.
@@ -118,12 +118,12 @@ _LINK_RADIUS = 0.005 / 0.11  # [-] Over the characteristic length, as in the pap
 class FromTable(NamedTuple):
     """Result of `from_table`."""
 
-    parameters: dict[str, Any]  # Of `RobotParameters`.
+    parameters: Document  # Of `RobotParameters`.
     pairs: tuple[tuple[int, int], ...]  # Legs of paired motors; empty if pairs are not needed.
     warning: str  # A likely mistake; empty if none.
 
 
-def from_table(table: str | Path | ArrayLike, unit: Unit, cranks: Cranks, parameters: Mapping[str, Any]) -> FromTable:
+def from_table(table: str | Path | ArrayLike, unit: Unit, cranks: Cranks, parameters: Document) -> FromTable:
     """Parameters of a robot from a table of its legs.
 
     Columns of a CSV file, by name, in any order: shaft_x to shaft_z (in B) and joint_x to joint_z (in P), in place of x
@@ -325,9 +325,9 @@ def _branches(span: np.ndarray, zero: np.ndarray, up: np.ndarray, lengths: Mappi
     return np.where(np.abs(wrapped(middle - spread)) <= np.abs(wrapped(middle + spread)), -1, 1)
 
 
-def _inertias(known: Mapping[str, Any]) -> dict[str, Any]:
+def _inertias(known: Document) -> Document:
     """Inertias [kg m^2] of uniform bars and of a disc, for the known masses."""
-    values: dict[str, Any] = {}
+    values: Document = {}
     radius, size = known["link_radius"], known["characteristic_length"]
     for name, along in (("rod", 2), ("crank", 0)):
         if f"{name}_mass" in known:

@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -163,7 +162,7 @@ class RobotParameters(Section, key="robot"):
 
     @classmethod
     def from_table(
-        cls, table: str | Path | ArrayLike, *, unit: Unit = "m", cranks: Cranks = "outwards", **parameters: Any
+        cls, table: str | Path | ArrayLike, *, unit: Unit = "m", cranks: Cranks = "outwards", **parameters: object
     ) -> RobotParameters:
         """A robot from measured positions, a row per leg; for missing parameters see `geometry.from_table`.
 
@@ -175,7 +174,7 @@ class RobotParameters(Section, key="robot"):
             unit: Of all lengths in the table and in `parameters`: m, mm, cm or in.
             cranks: Direction of level cranks, if not in the table: outwards from the centre, towards the other motor of
                 the pair, away from it, or tangential, at right angles to outwards and away from it.
-            **parameters: Any of this class.
+            **parameters: Keys of this class.
 
         Raises:
             ConfigurationError: As for the class; a table with too few rows, columns or numbers.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.config import Section
 from stewart_drake.robot.robot_parameters import RobotParameters
 
@@ -22,7 +23,7 @@ class OfRobot(NamedTuple):
     null: bool = False  # Whether a null in the file means the default, rather than a missing key.
     slower: float = 0.0  # Power of `LATENCY` / latency, a factor for latencies above `LATENCY`.
 
-    def at(self, default: Any, robot: RobotParameters, latency: float) -> Any:
+    def at(self, default: object, robot: RobotParameters, latency: float) -> Any:
         """The default for a robot whose commands act within a latency [s]."""
         value = self.value(default, robot)
         return value * (LATENCY / latency) ** self.slower if self.slower and latency > LATENCY else value
@@ -33,14 +34,14 @@ def defaults_of(
     model: RobotParameters,
     latency: float,
     others: Mapping[str, Mapping[str, object]] | None = None,
-) -> Callable[[type[Section], dict[str, Any]], dict[str, Any] | None]:
+) -> Callable[[type[Section], Document], Document | None]:
     """A function that adds the defaults of a robot and a latency [s] to the keys of a section, see `Reading`.
 
     `model` is the controller's model of the robot. `others`: section -> further defaults, unless one of its keys is
     given.
     """
 
-    def with_defaults(section: type[Section], given: dict[str, Any]) -> dict[str, Any] | None:
+    def with_defaults(section: type[Section], given: Document) -> Document | None:
         if section is RobotParameters:
             return None
         scaled_to = model if section.section_key in _OF_MODEL else robot
@@ -63,7 +64,7 @@ def times(measure: Callable[[RobotParameters], float], power: float = 1.0, slowe
     Of a tuple, such as an angle and a length, or a pose, only the second half is scaled.
     """
 
-    def value(default: Any, robot: RobotParameters) -> Any:
+    def value(default: object, robot: RobotParameters) -> Any:
         if robot == PAPER:
             # The scale is 1; this way a scenario is read without compiling a law.
             return default

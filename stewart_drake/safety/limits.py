@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -333,7 +333,7 @@ def _margins(
 
 def _refuse(
     name: str,
-    given: Any,
+    given: object,
     margin: np.ndarray,
     time: np.ndarray,
     allowed: str = "a limit that the reference keeps; it is exceeded",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import FAILURES, SafetyStop
 from stewart_drake.base.records import Vec2
 from stewart_drake.loop.part import LoopContext, Part
@@ -48,7 +49,7 @@ def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
     )
     kernel: Any = safety_tick
     numbers = {"robot": robot_record(robot), "friction": context.friction.record(), "friction_unknown": Friction.new()}
-    constants: dict[str, Any] = {"user_trip": np.zeros(2)}
+    constants: dict[str, object] = {"user_trip": np.zeros(2)}
     if options.monitors:
         kernel, constants = _safety_tick_with_monitors, {**constants, "options": options}
     inputs = {"command": 6, "measurement": 12, "reference": 18}
@@ -94,18 +95,18 @@ def _stopped(options: SafetyOptions, period: float, result: Any, arguments: Mapp
     return SafetyStop(name, f"{name}: {text}", int(leg) if leg >= 0.0 else None, first_trip(state, period, names))
 
 
-def first_trip(state: np.ndarray, period: float, names: Sequence[str] = MONITORS) -> dict[str, Any] | None:
+def first_trip(state: np.ndarray, period: float, names: Sequence[str] = MONITORS) -> Document | None:
     """The first trip by the layer's state after ticks of a period [s]; None where no monitor tripped.
 
     monitor, level, time [s], leg, cause of the first trip; worst, the highest level; last, the level now; stopped, the
     trip after which the controller no longer was in charge, or None.
     """
-    now: Any = state[0]
+    now: np.ndarray = state[0]
     monitor, level, leg, tick, cause = now["first"].item()
     if monitor == 0.0:
         return None
 
-    def trip(monitor: float, tick: float, leg: float) -> dict[str, Any]:
+    def trip(monitor: float, tick: float, leg: float) -> Document:
         time = round(float(tick) * period, 9)
         return {"monitor": names[int(monitor)], "time": time, "leg": int(leg) if leg >= 0.0 else None}
 

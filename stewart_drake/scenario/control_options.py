@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from collections.abc import Callable, Mapping
+from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from pydantic import Field, TypeAdapter
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.code import ROBOT_KEY
 from stewart_drake.base.config import (
     NAME,
@@ -118,18 +119,18 @@ class ControlOptions(Section):
     """The safety layer between controller and motors; null for none."""
 
     @classmethod
-    def _read(cls, data: Any, reading: Reading, key: str | None = None, **details: Any) -> Self:
+    def _read(cls, data: object, reading: Reading, key: str | None = None, **details: object) -> Self:
         if isinstance(data, dict):
             data, defaults = _with_robots(data, cls.nominal_robot)
             reading = reading._replace(defaults=defaults)
         return super()._read(data, reading, key, **details)
 
     @classmethod
-    def from_dict(cls, data: Any, key: str | None = None, trust_code: bool = False) -> Self:
+    def from_dict(cls, data: object, key: str | None = None, trust_code: bool = False) -> Self:
         """Options from plain values; with `trust_code`, code that they name may run."""
         return cls._read(data, Reading(trust_code), key)
 
-    def replace(self, changes: Mapping[str, Any] | None = None, trust_code: bool = False, **keys: Any) -> Self:
+    def replace(self, changes: Mapping[str, object] | None = None, trust_code: bool = False, **keys: object) -> Self:
         """The keys that were given with some of them changed, checked again; defaults are computed again.
 
         Another kind, `{"plant": "closed_form"}` or `{"plant.kind": "closed_form"}`, keeps the keys that it has too; a
@@ -146,7 +147,7 @@ class ControlOptions(Section):
         """
         return with_keys(type(self), self.given(), {**(changes or {}), **keys}, trust_code)
 
-    def in_full(self) -> dict[str, Any]:
+    def in_full(self) -> Document:
         """`to_dict`, with the legs of the robots in full where `legs` leaves them to the symmetric robot."""
         full = self.to_dict()
         for section, robot in ((full, getattr(self, "robot", None)), (full["model"], self.model.robot)):
@@ -221,13 +222,15 @@ class ControlOptions(Section):
 _ROBOT: TypeAdapter[RobotParameters | None] = TypeAdapter(AnyRobot | None)
 
 
-def _with_robots(data: dict[str, Any], nominal: RobotParameters | None) -> tuple[dict[str, Any], Any]:
+def _with_robots(
+    data: Document, nominal: RobotParameters | None
+) -> tuple[Document, Callable[[type[Section], Document], Document | None] | None]:
     """The keys with the robots read, and the defaults of these robots, and of how soon a command acts.
 
     Without the key `robot` it is `nominal`, or where that is None the one that is believed.
     """
     try:
-        robots: dict[str, Any] = {ROBOT_KEY: _ROBOT.validate_python(data[ROBOT_KEY])} if ROBOT_KEY in data else {}
+        robots: Document = {ROBOT_KEY: _ROBOT.validate_python(data[ROBOT_KEY])} if ROBOT_KEY in data else {}
         robot = robots.get(ROBOT_KEY) or nominal or PAPER
         model = data.get("model", {})
         model = model.given() if isinstance(model, Section) else {**model}
@@ -242,7 +245,7 @@ def _with_robots(data: dict[str, Any], nominal: RobotParameters | None) -> tuple
         age = model.get("reading_age")
         age = SENSORS.section(data.get("sensors", {})).delay if age is None else float(age)
         latency = CONTROLLERS.section(data.get("controller", {})).period * (1 + delay) + known.dead_time + age
-        friction = dict[str, dict[str, Any]]()
+        friction = dict[str, Document]()
         if gear := real.gear:
             friction["plant"] = {"friction": None, "motor_friction": gear.coulomb, "motor_damping": gear.viscous}
         if gear := known.gear:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from numbers import Real
-from typing import Any
 
 import numpy as np
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure
 from stewart_drake.base.sampling import InBlocks
 from stewart_drake.control.user_controller import failure_of
@@ -132,7 +132,7 @@ class Controller:
         return self._running.signal(name)
 
     @property
-    def first_trip(self) -> Mapping[str, Any] | None:
+    def first_trip(self) -> Document | None:
         """The first trip of the safety layer, as in a log; None for none, or without a layer."""
         return first_trip(self._running.state("safety"), self._tick, self._monitors) if self._safe else None
 
@@ -150,7 +150,7 @@ class Controller:
         return LEVELS[int(self._running.signal("safety")[0])] if self._safe else LEVELS[0]
 
 
-def _number(value: Any) -> float:
+def _number(value: object) -> float:
     """NaN for what is no number."""
     try:
         # `Real` comes last: Python asks it slowly.

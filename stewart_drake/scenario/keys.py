@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.code import ROBOT_KEY
 from stewart_drake.base.config import Section, shorten, to_plain, unknown_key
 from stewart_drake.base.errors import ConfigurationError
@@ -28,7 +29,7 @@ def split_key(key: str) -> tuple[str | int, ...]:
     return tuple(int(index) if index else name for name, index in re.findall(r"([A-Za-z_]\w*)|\[(\d+)\]", key))
 
 
-def value_at(data: Mapping[str, Any], key: str) -> Any:
+def value_at(data: Mapping[str, object], key: str) -> Any:
     """Value of a key in a scenario, given in plain values; a `ConfigurationError` where it has no such key."""
     here: Any = data
     inside = "the scenario"
@@ -52,7 +53,7 @@ def unit_at(section: Any, key: str) -> str:
     return units
 
 
-def _refuse_part(key: str, here: Any, part: str | int, inside: str) -> None:
+def _refuse_part(key: str, here: object, part: str | int, inside: str) -> None:
     """Raises a `ConfigurationError` where a key goes into no section, or no list that is long enough."""
     if isinstance(part, str) and not isinstance(here, dict):
         hint = "; `mismatch: true` fills it" if key.startswith("model.robot.") and here is None else ""
@@ -63,7 +64,7 @@ def _refuse_part(key: str, here: Any, part: str | int, inside: str) -> None:
 
 
 def with_keys(
-    kind: type[_Options], data: dict[str, Any], changes: Mapping[str, Any], trust_code: bool = False
+    kind: type[_Options], data: Document, changes: Mapping[str, object], trust_code: bool = False
 ) -> _Options:
     """A section of given keys and values with some of them changed."""
     components = {key: value for key, value in changes.items() if "[" in key}
@@ -80,7 +81,7 @@ def with_keys(
     return kind.from_dict(data, trust_code=trust_code)
 
 
-def _assign(section: type[Section], data: dict[str, Any], key: str, value: Any, full: Any) -> None:
+def _assign(section: type[Section], data: Document, key: str, value: object, full: Any) -> None:
     """Sets a key; what is changed inside is a copy, and a list that was not given is filled from `full`."""
     *parents, last = path = split_key(key)
     here: Any = data
@@ -109,7 +110,7 @@ def _assign(section: type[Section], data: dict[str, Any], key: str, value: Any, 
     here[last] = value
 
 
-def _change_kind(key: str, here: dict[str, Any], kind: Any, family: Family) -> None:
+def _change_kind(key: str, here: Document, kind: object, family: Family) -> None:
     """Sets the kind of a section; keys that the new one has stay, and a line names those that are dropped."""
     old, new = family.resolve(here), family.resolve({"kind": kind})
     if old is not None and new is not None and here.get("kind", family.default) != kind:
@@ -126,10 +127,10 @@ def _log_once(line: str) -> None:
     logging.getLogger("stewart_drake").warning(f"stewart-drake: {line}")
 
 
-def _type_at(section: Any, name: str) -> Any:
+def _type_at(section: object, name: str) -> object:
     """The family of kinds at a key of a section, or in a list there; else the class of the section there; else None."""
     field = getattr(section, "__pydantic_fields__", {}).get(name)
-    types: list[Any] = [] if field is None else [field.annotation, *field.metadata]
+    types: list[object] = [] if field is None else [field.annotation, *field.metadata]
     while types:
         kind = types.pop()
         if isinstance(kind, Family) or (isinstance(kind, type) and issubclass(kind, Section)):
@@ -138,7 +139,7 @@ def _type_at(section: Any, name: str) -> Any:
     return None
 
 
-def _opened(name: str | int, family: Any, value: Any) -> Any:
+def _opened(name: str | int, family: object, value: object) -> object:
     """A copy of the value at a key, to change it; `family` is that of its kinds, if it has some."""
     if name == ROBOT_KEY and isinstance(value, str):
         value = robot_section(value)

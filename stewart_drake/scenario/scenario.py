@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import Field, TypeAdapter
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.code import anchored
 from stewart_drake.base.config import (
     Count,
@@ -81,7 +82,7 @@ class Scenario(ControlOptions):
     controller.period."""
 
     @classmethod
-    def _read(cls, data: Any, reading: Reading, key: str | None = None, **details: Any) -> Self:
+    def _read(cls, data: object, reading: Reading, key: str | None = None, **details: object) -> Self:
         scenario = super()._read(data, reading, key, **details)
         if isinstance(data, dict) and "duration" not in data and isinstance(scenario.reference, RecordedReference):
             scenario.__dict__["duration"] = scenario.reference.end
@@ -210,11 +211,11 @@ def _load(kind: type[_Options], what: str, path: str | Path, overrides: Iterable
     return with_keys(kind, data, changes, trust_code)
 
 
-def scenario_schema() -> dict[str, Any]:
+def scenario_schema() -> Document:
     """JSON schema of a scenario file, for editors: every section once, under `$defs`."""
-    sections: dict[str, Any] = {}
+    sections: Document = {}
 
-    def moved(node: Any) -> Any:
+    def moved(node: object) -> Any:
         if isinstance(node, list):
             return [moved(part) for part in node]
         if not isinstance(node, dict):

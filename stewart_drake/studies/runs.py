@@ -12,13 +12,14 @@ from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from stewart_drake.analysis.response import sine_response
 from stewart_drake.base.atomic_files import (
     NOT_FINITE,
+    Document,
     append,
     checksum,
     locked_folder,
@@ -37,7 +38,7 @@ from stewart_drake.runs.outputs import prepare_folder
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.workers import DIED_TWICE, Workers, run_jobs
 
-Row = dict[str, Any]  # Column -> value.
+Row = Document  # Column -> value.
 Measure = Callable[[SimulationLog], Row]
 """Figures of a log as JSON values, by a function that the workers can import."""
 RunFunction = Callable[[Scenario], SimulationLog]
@@ -260,7 +261,7 @@ class RowStore:
             raise ConfigurationError("--out", str(self.folder), f"{allowed}; it differs in {', '.join(changed[:5])}")
 
 
-def _changed_keys(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+def _changed_keys(before: Document, now: Document) -> list[str]:
     """Keys with other values, and in place of `files` the names of changed files."""
     keys = [key for key, value in now.items() if before.get(key) != value]
     files = [name for name, digest in now["files"].items() if before.get("files", {}).get(name) != digest]

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import Field
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.config import Count, Flag, Positive, Real, Section, Seed, Text, check_plain, shorten
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.families import Family, given_keys
@@ -176,7 +177,7 @@ class Draws(Sequence[Trial]):
         self._trust_code = trust_code
         data = base.in_full()
         with error_prefix("distributions."):
-            self._values: dict[str, Any] = {key: value_at(data, key) for key in file.distributions}
+            self._values: Document = {key: value_at(data, key) for key in file.distributions}
         for key, distribution in file.distributions.items():
             self._check(key, distribution)
 
@@ -214,7 +215,7 @@ class Draws(Sequence[Trial]):
                 values[key] = distribution.at(rng.random())
         return values
 
-    def _changes(self, drawn: Mapping[str, Any]) -> dict[str, object]:
+    def _changes(self, drawn: Mapping[str, object]) -> dict[str, object]:
         factors = self.file.distributions
         return {
             key: (np.array(self._values[key]) * value).tolist() if factors[key].factor else value
@@ -318,7 +319,7 @@ def load_sweep(path: str | Path, runs: int | None = None, trust_code: bool = Fal
     return load_experiment("sweep", path, lambda data, folder: make_sweep({**data, **more}, folder, trust_code))
 
 
-def make_simulator(sweep: Experiment, **options: Any) -> Callable[[Callable[[], int]], Any]:
+def make_simulator(sweep: Experiment, **options: object) -> Callable[[Callable[[], int]], object]:
     """A function `make_simulator(generator)` for Drake's `MonteCarloSimulation`: a simulator of a run of a sweep.
 
     The run is `sweep.trials.trial(number)`, where `number` is the next number of the generator. The options are those

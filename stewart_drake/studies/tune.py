@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.atomic_files import checksum, locked_folder, write_atomically
+from stewart_drake.base.atomic_files import Document, checksum, locked_folder, write_atomically
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.markdown import TextTable, number
 from stewart_drake.base.yaml_files import to_yaml
@@ -57,16 +57,16 @@ COLUMNS = (
 class Tuning(Experiment):
     """The search: `trials` are those of one evaluation, and a row is an evaluation."""
 
-    data: Mapping[str, Any]  # The comparison in plain values.
+    data: Document  # The comparison in plain values.
     options: TuneOptions
     start: Mapping[str, Setting]  # By controller.
     generations: int
-    compare: Callable[[Mapping[str, object]], Comparison]  # The comparison with other values of some keys.
+    compare: Callable[[Document], Comparison]  # The comparison with other values of some keys.
 
     @classmethod
     def from_dict(
         cls,
-        data: Mapping[str, Any],
+        data: Document,
         folder: Path | None = None,
         controllers: Sequence[str] = (),
         budget: int | None = None,
@@ -75,7 +75,7 @@ class Tuning(Experiment):
     ) -> Tuning:
         """Search of the plain values of a `CompareFile`; `budget`: evaluations per controller, else `generations`."""
 
-        def compare(changes: Mapping[str, object]) -> Comparison:
+        def compare(changes: Document) -> Comparison:
             changed = {**data, "tuned": None, "bands": None, **changes}
             return Comparison.from_dict(changed, folder, quick, trust_code=trust_code)
 

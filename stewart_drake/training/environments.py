@@ -6,10 +6,10 @@ Importing this module registers `stewart_drake/Track-v0` and `stewart_drake/Tune
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import RunFailure, installed_with
 from stewart_drake.base.sampling import times_of
 from stewart_drake.control.base import Measurement, Setpoint
@@ -22,7 +22,7 @@ from stewart_drake.scenario.stepped_loop import SteppedLoop
 from stewart_drake.training.policy_training import FunctionSource, tuned_by
 from stewart_drake.training.situations import TRAINING, kinds_of, situation
 
-Info = dict[str, Any]  # As in gymnasium.
+Info = Document  # As in gymnasium.
 with installed_with("stewart-drake[gym]"):
     import gymnasium
     from gymnasium import spaces

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.analysis.feasibility import amplitude_table, largest_scale
-from stewart_drake.base.atomic_files import write_atomically
+from stewart_drake.base.atomic_files import Document, write_atomically
 from stewart_drake.base.config import Fraction, Positive, Section, Seed, Vector6, Window
 from stewart_drake.base.errors import ConfigurationError, RunFailure, installed_with
 from stewart_drake.base.tables import parquet_about, read_columns, to_parquet, with_about
@@ -51,7 +51,7 @@ class Dataset:
     outputs: np.ndarray  # (n, 2) weights omega_Q, omega_R.
     run: np.ndarray  # (n,) experiment.
     time: np.ndarray  # (n,) [s] within the experiment.
-    metadata: dict[str, Any] = field(default_factory=dict)  # Metadata of the experiments, see `dataset_metadata`.
+    metadata: Document = field(default_factory=dict)  # Metadata of the experiments, see `dataset_metadata`.
 
     def digest(self) -> str:
         content = hashlib.sha256()

@@ -10,11 +10,12 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from stewart_drake.analysis.feasibility import NEAR
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.robot.robot_scale import PAPER
 from stewart_drake.runs.checks import check_scenario, plant_report
@@ -24,7 +25,7 @@ TRAINING, VALIDATION, HELD_OUT = (range(first, first + 10**6) for first in (0, 1
 """Seeds for search and training, for selection, and for the test. Those from 2e6 on tested earlier policies."""
 _TRIES = 50  # Draws of a situation until its motion is feasible; nearly all first draws are.
 
-Changes = dict[str, Any]  # Scenario key -> value.
+Changes = Document  # Scenario key -> value.
 
 
 class Case(NamedTuple):
