@@ -71,7 +71,7 @@ class FrictionOptions(Section, key="plant.friction"):
     """Motor friction with stiction, see `mechanics.friction`: for each key one number, or one for each motor."""
 
     width = InOtherKinds(0.0)
-
+    """[rad/s] of a reversal, which a controller's model has."""
     coulomb: SixTorques = _NONE
     """[N m] dry (Coulomb) friction in motion."""
     break_away: SixTorques | None = None

@@ -283,7 +283,9 @@ class LoopSystems:
             source = "weights" if port == "weights" in self._signals else part.source(port)
             # A `PartSystem` has no ports for the time and for constant arrays.
             if part.system is not None or (port != "time" and isinstance(source, str)):
-                signal, system = self._port(f"{part.name}_{port}", source), self.systems[part.name]
+                known = source == "weights" or not isinstance(source, str)
+                signal = self._port(f"{part.name}_{port}", source) if known else part.signal_in(self._signals, port)
+                system = self.systems[part.name]
                 has_one = isinstance(system, Saturation)
                 self._builder.Connect(signal, system.get_input_port() if has_one else system.GetInputPort(port))
 
