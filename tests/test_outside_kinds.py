@@ -113,6 +113,15 @@ def test_a_kind_that_was_added_has_its_section_its_messages_and_its_place_in_the
     assert "ToySensorOptions" in json.dumps(scenario_schema())
 
 
+@pytest.mark.usefixtures("added")
+def test_an_object_of_a_subclass_is_refused_and_not_taken_for_its_base():
+    class Louder(LqiOptions):
+        """Without a kind of its own."""
+
+    with pytest.raises(ConfigurationError, match=r"^controller: expected LqiOptions, got 'Louder'; a subclass of it"):
+        Scenario(**SHORT, controller=Louder())
+
+
 def doubled(factor):
     return FaultKind(lambda fault, now: np.multiply.at(now.values, fault.channels, factor))
 

@@ -248,6 +248,12 @@ class Section(BaseModel):
         names = self.__pydantic_fields__
         return type(self) is type(other) and all(getattr(self, name) == getattr(other, name) for name in names)
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not name.startswith("_"):
+            allowed = f"no assignment, as sections do not change: replace({name}=...) makes a changed copy"
+            raise ConfigurationError(f"{self.section_key}.{name}".lstrip("."), value, allowed)
+        super().__setattr__(name, value)
+
     def __str__(self) -> str:
         return repr(self)
 

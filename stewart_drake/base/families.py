@@ -168,7 +168,8 @@ class Family(Table):
         data = self.normalise(data)
         kind = data.get("kind", self.default) if isinstance(data, Mapping) else getattr(data, "kind", None)
         section = self._user_section if self.is_user_code(kind) else self[kind] if kind in self.kinds else None
-        return section if isinstance(data, Mapping) or (section is not None and isinstance(data, section)) else None
+        # An object of a subclass would lose what it overrides.
+        return section if isinstance(data, Mapping) or type(data) is section else None
 
     @property
     def _user_section(self) -> Any:
@@ -199,6 +200,9 @@ class Family(Table):
             allowed = self._choices_text(value) if isinstance(value, str) else allowed
             return ConfigurationError("", value, allowed)
         kind = value.get("kind") if isinstance(value, Mapping) else getattr(value, "kind", None)
+        if kind in self.kinds and isinstance(value, self[kind]):
+            allowed = f"{self[kind].__name__}; a subclass of it must have another `kind`, and be added to the registry"
+            return ConfigurationError("", type(value).__name__, allowed)
         required = "; this key is required" if isinstance(value, Mapping) and "kind" not in value else ""
         return ConfigurationError("kind", kind, f"{self._choices_text(kind)}{required}")
 

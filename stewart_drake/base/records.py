@@ -71,7 +71,7 @@ class Record(_Base):
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         cls.fields = {**getattr(cls, "fields", {}), **inspect.get_annotations(cls, eval_str=True)}
-        shapes = {name: _shape(kind, cls._sizes) for name, kind in cls.fields.items()}
+        shapes = {name: _shape(f"{cls.__name__}.{name}", kind, cls._sizes) for name, kind in cls.fields.items()}
         # Without fields if a size is missing, see `sized`.
         items = shapes.items() if None not in shapes.values() else ()
         cls.layout = np.dtype([(n, of) if isinstance(of, np.dtype) else (n, np.float64, of) for n, of in items])
@@ -83,13 +83,15 @@ class Record(_Base):
 
     @classmethod
     def new(cls, options: object = None, **values: object) -> Self:
-        """A structured array (1,) with named values; what is not given is that attribute of the options, or zero.
+        """A structured array (1,) with named values; what is not given is that attribute of the options.
 
-        An attribute that is None, a limit that is off, is infinite.
+        An attribute that is None, a limit that is off, is infinite. Without options, what is not given is zero.
         """
+        if cls.layout.names != tuple(cls.fields):
+            raise TypeError(f"{cls.__name__} has sizes without a number, see `Record.sized`")
         result: Any = np.zeros(1, cls.layout)
-        for name in cls.fields:
-            if hasattr(options, name) and name not in values:
+        for name in cls.fields if options is not None else ():
+            if name not in values:
                 value = getattr(options, name)
                 result[name][:] = np.inf if value is None else value
         for name, value in values.items():
@@ -131,12 +133,14 @@ def _sized(kind: type[_R], sizes: tuple[tuple[str, int], ...]) -> type[_R]:
     return type(kind.__name__, (kind,), {"_sizes": dict(sizes), "__module__": kind.__module__, "__annotations__": {}})
 
 
-def _shape(kind: object, sizes: dict[str, int]) -> object:
+def _shape(name: str, kind: object, sizes: dict[str, int]) -> object:
     """Shape of a field, dtype of a record in it, None where a size is a name that is not known."""
     if kind is float:
         return ()
     if isinstance(kind, type) and issubclass(kind, Record):
         kind = kind if kind.layout.names else kind.sized(**sizes) if sizes else kind
         return kind.layout if kind.layout.names else None
+    if len(get_args(kind)) != 2:
+        raise TypeError(f"{name}: expected float, an array such as Vec6, or a Record, got {kind}")
     shape = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in get_args(kind)[1])
     return None if any(isinstance(n, str) for n in shape) else shape

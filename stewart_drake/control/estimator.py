@@ -72,6 +72,8 @@ class DifferenceOptions(EstimatorOptions):
 class UserEstimator(UserParts, EstimatorOptions, key="estimator"):  # type: ignore[misc]
     """Your own estimator: `parts(context)` returns parts from `reading` to the signal `measurement` (12,)."""
 
+    gives = "measurement"
+
 
 class DifferenceParams(Record):
     """Parameters of `difference_tick`: numbers of `DifferenceOptions`."""

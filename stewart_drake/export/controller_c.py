@@ -12,6 +12,7 @@ from stewart_drake import __version__
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import FAILURES, ConfigurationError, RunFailure
 from stewart_drake.base.sampling import on_grid
+from stewart_drake.control.user_controller import PythonOptions
 from stewart_drake.export.loop import LoopSource
 from stewart_drake.export.program import from_template
 from stewart_drake.export.types import number
@@ -43,6 +44,9 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
             "null: what learns is not printed; run with --keep-model FILE, and export with the `model` that it leaves"
         )
         raise ConfigurationError("adaptation.kind", options.adaptation.kind, allowed)
+    if isinstance(options.controller, PythonOptions):
+        allowed = "a kind with compiled laws, see docs/export.md; a class or function of Python is not printed"
+        raise ConfigurationError(options.controller.code_key, options.controller.code, allowed)
     prefix, side, age = c_name(name), control_side(options, split=True), np.zeros(1)
     parts = controller_parts(options, side, age)
     outside = {"time": 1, side.reading: side.context.reading, **{source.signal: source.size for source in side.sources}}

@@ -116,6 +116,8 @@ class UserSensors(UserParts, SensorOptions, key="sensors"):  # type: ignore[misc
     The period of the readings is in [s].
     """
 
+    gives = "reading"
+
     reading: Literal["angles", "pose"] = "pose"  # type: ignore[misc]
     """What a reading is: the six angles of the cranks [rad], or pose [rad, m] and its rate."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 
 from stewart_drake.live.instrument import FORCE, largest
@@ -19,11 +21,14 @@ from stewart_drake.scenario.scenario import Scenario
 def start_live(scenario: Scenario, port: int | None = None) -> tuple[LiveSession, LiveServer]:
     """A session to `run` and a server to `close`; `port` of this computer, None for the first free one."""
     # Compiles all controllers of the panel, so that none makes the robot wait.
-    warm = LiveLoop(scenario)
+    warm, log = LiveLoop(scenario), logging.getLogger("stewart_drake")
+    level = log.level
+    log.setLevel(logging.ERROR)  # Nobody chose these kinds, so the keys that they drop are of no interest.
     for changes in CONTROLLERS.values():
         warm.change(changes)
         # To the controller's next tick.
         warm.advance(round(warm.scenario.controller.period / warm.scenario.plant.time_step) + 1)
+    log.setLevel(level)
 
     session = LiveSession(scenario)
     about = about_robot(scenario, session.loop.reference.home, ghost=True)

@@ -10,12 +10,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError, RunFailure, Status, failure, failure_code
 from stewart_drake.base.jit import specialised
+from stewart_drake.base.keys import join_or
 from stewart_drake.base.records import Record, TickResult
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.robot import RobotParameters
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from stewart_drake.control.tuners import Tuner
     from stewart_drake.hardware.motors import MotorOptions
 
+_Signal = TypeVar("_Signal")
 Kernel = Callable[..., TickResult | None]
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 HEALTHY = (0.0, -1.0)
@@ -76,6 +78,13 @@ class Part(NamedTuple):
     def source(self, port: str) -> str | np.ndarray:
         """Name of the signal at an input port, or a constant array."""
         return self.connections.get(port, port)
+
+    def signal_in(self, signals: Mapping[str, _Signal], port: str) -> _Signal:
+        """The signal at an input port; raises a ConfigurationError if the loop has none of its name."""
+        if (name := str(self.source(port))) not in signals:
+            known = sorted(signal for signal in signals if "." not in signal)
+            raise ConfigurationError(f"{self.name}.{port}", name, f"a signal of the loop: {join_or(known)}")
+        return signals[name]
 
     def signal(self, output: str) -> str:
         """Name of the signal of an output."""
@@ -252,14 +261,15 @@ class LoopRunner:
         self.reset()
 
     def _sources(self, part: Part, state: np.ndarray) -> tuple[list[np.ndarray], np.ndarray, dict[str, np.ndarray]]:
-        inputs = [self.time if port == "time" else self._array(part.source(port)) for port in part.inputs]
+        inputs = [self.time if port == "time" else self._array(part, port) for port in part.inputs]
         for (port, size), array in zip(part.inputs.items(), inputs, strict=True):
             if array.size != size:
                 raise ConfigurationError(f"{part.name}.{port}", f"{array.size} numbers", f"a signal of {size} numbers")
-        return inputs, state, {name: self._array(part.source(name)) for name in part.replaced}
+        return inputs, state, {name: self._array(part, name) for name in part.replaced}
 
-    def _array(self, source: str | np.ndarray) -> np.ndarray:
-        return self.values[self.places[source]] if isinstance(source, str) else source
+    def _array(self, part: Part, port: str) -> np.ndarray:
+        source = part.source(port)
+        return self.values[part.signal_in(self.places, port)] if isinstance(source, str) else source
 
     def reset(self) -> None:
         """Sets all states to those before the first tick."""

@@ -19,7 +19,7 @@ from typing import Annotated
 
 import numpy as np
 
-from stewart_drake.base.config import Section, one_for_six
+from stewart_drake.base.config import InOtherKinds, Section, one_for_six
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Mat6, Record, Vec6
@@ -70,6 +70,8 @@ SixRates = Annotated[tuple[Size, Size, Size, Size, Size, Size], one_for_six(Size
 class FrictionOptions(Section, key="plant.friction"):
     """Motor friction with stiction, see `mechanics.friction`: for each key one number, or one for each motor."""
 
+    width = InOtherKinds(0.0)
+    """[rad/s] of a reversal, which a controller's model has."""
     coulomb: SixTorques = _NONE
     """[N m] dry (Coulomb) friction in motion."""
     break_away: SixTorques | None = None

@@ -279,11 +279,17 @@ class LoopSystems:
 
     def _connect(self, part: Part) -> None:
         """Connects the inputs of a part."""
+        if "weights" in self._signals:
+            part = part.connected(weights="weights")
         for port in (*part.inputs, *part.replaced):
-            source = "weights" if port == "weights" in self._signals else part.source(port)
+            source = part.source(port)
             # A `PartSystem` has no ports for the time and for constant arrays.
             if part.system is not None or (port != "time" and isinstance(source, str)):
-                signal, system = self._port(f"{part.name}_{port}", source), self.systems[part.name]
+                if isinstance(source, str):
+                    signal = part.signal_in(self._signals, port)
+                else:
+                    signal = self._port(f"{part.name}_{port}", source)
+                system = self.systems[part.name]
                 has_one = isinstance(system, Saturation)
                 self._builder.Connect(signal, system.get_input_port() if has_one else system.GetInputPort(port))
 

@@ -287,3 +287,10 @@ def test_a_list_that_holds_itself_is_refused_in_a_line(make, keys):
         make(data)
     assert "[0.0, [...]]" in str(caught.value)
     assert str(caught.value).isprintable()
+
+
+def test_an_assignment_to_a_key_says_what_to_do_instead():
+    scenario = Scenario()
+    with pytest.raises(ConfigurationError, match=r"^duration: expected no assignment, .*replace\(duration=\.\.\.\)"):
+        scenario.duration = 2.0
+    assert scenario == Scenario()

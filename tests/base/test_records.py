@@ -32,8 +32,10 @@ def test_fields_are_stored_in_their_order_those_of_the_extended_record_first():
     assert ARM.layout["load"] == Body.layout
     assert ARM.layout.itemsize == 8 * (1 + 9 + 3 + 10 + 8)
     assert ARM is Arm.sized(ticks=4)
-    with pytest.raises(ValueError, match="mass"):
+    with pytest.raises(TypeError, match="Arm has sizes without a number"):
         Arm.new(mass=1.0)
+    with pytest.raises(TypeError, match=r"^Counter\.ticks: expected float, an array such as Vec6, or a Record, got"):
+        type("Counter", (Record,), {"__annotations__": {"ticks": int}})
 
 
 def test_sizes_by_name_reach_nested_records():
@@ -44,14 +46,16 @@ def test_sizes_by_name_reach_nested_records():
     assert Pair.sized(ticks=4).layout["left"] == ARM.layout
 
 
-def test_a_new_record_has_the_options_numbers_those_given_and_zeros():
-    options = SimpleNamespace(mass=2.0, limit=None, load=None, other=3.0)
+def test_a_new_record_has_the_options_numbers_and_those_given():
+    options = SimpleNamespace(mass=2.0, tensor=np.eye(3), limit=None, load=None, other=3.0)
     arm = ARM.new(options, load=Body.new(mass=5.0), history=1.0)
+    with pytest.raises(AttributeError, match="history"):  # It would be zero without a word.
+        ARM.new(options, load=Body.new())
     assert arm.shape == (1,)
     assert arm["mass"] == 2.0
     np.testing.assert_array_equal(arm["limit"], [[np.inf] * 3])
     assert arm["load"]["mass"] == 5.0
-    np.testing.assert_array_equal(arm["tensor"], 0.0)
+    np.testing.assert_array_equal(arm["tensor"][0], np.eye(3))
     np.testing.assert_array_equal(arm["history"], 1.0)
 
 

@@ -203,11 +203,11 @@ def test_clean_under_sanitizers(name, cc, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-def test_what_runs_in_python_is_refused_with_file_and_line(tmp_path):
+def test_a_controller_in_python_is_refused_by_its_key(tmp_path):
     def torques(measurement, _, __):
         return 0.0 * measurement.pose
 
     scenario = load_scenario("exact_fig7").replace({"controller": torques})
-    with pytest.raises(ConfigurationError, match=r"\.py:\d+: expected what can be printed as C"):
+    with pytest.raises(ConfigurationError, match=r"^controller\.kind: expected a kind with compiled laws, .*torques"):
         export_controller(scenario, "mine", tmp_path / "mine")
     assert not (tmp_path / "mine").exists()

@@ -1,11 +1,16 @@
 """Parts for themselves: what a tick reads and writes, when it is due, and how it ends."""
 
+from typing import ClassVar
+
 import numpy as np
 import pytest
 
+from stewart_drake import Scenario, build_diagram
 from stewart_drake.base.errors import ConfigurationError, RunFailure
-from stewart_drake.base.records import Record, Vec2
+from stewart_drake.base.records import Record, Vec2, Vec12
 from stewart_drake.loop.part import HEALTHY, BoundPart, LoopRunner, Part
+from stewart_drake.scenario.assembly import loop_of
+from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 
 class Sum(Record):
@@ -138,3 +143,35 @@ def test_a_raised_failure_of_a_users_kernel_is_that_of_a_status():
     state = part.initial.copy()
     BoundPart(part, [np.zeros(2)], state)()
     assert state["health"][0, 0] != HEALTHY[0]
+
+
+class Elsewhere:
+    """A user's sensor; what is wrong is set in the tests."""
+
+    inputs: ClassVar = {"plant_pose": 12}
+    outputs: ClassVar = ("reading",)
+
+    def parts(self, _):
+        return (Part("mine", print, {}, self.inputs, self.outputs, Pose.new()),)
+
+
+class Pose(Record):
+    reading: Vec12
+    other: Vec12
+
+
+@pytest.mark.parametrize(
+    ("outputs", "text"),
+    [(("other",), "parts without the output reading"), (("lost",), "an output lost of mine, which is not a field")],
+)
+def test_parts_of_a_user_that_give_something_else_are_refused(monkeypatch, outputs, text):
+    monkeypatch.setattr(Elsewhere, "outputs", outputs)
+    with pytest.raises(ConfigurationError, match=rf"^sensors\.kind: .*{text}"):
+        loop_of(Scenario(sensors=Elsewhere))
+
+
+@pytest.mark.parametrize(("engine", "plant"), [(build_diagram, "drake"), (SteppedLoop, "closed_form")])
+def test_an_input_that_no_part_gives_is_refused(monkeypatch, engine, plant):
+    monkeypatch.setattr(Elsewhere, "inputs", {"plant_poze": 12})
+    with pytest.raises(ConfigurationError, match=r"^mine\.plant_poze: expected a signal of the loop: .* plant_pose, "):
+        engine(Scenario(sensors=Elsewhere, tuner="fixed", plant=plant))

@@ -224,7 +224,7 @@ def test_a_scenario_and_its_robot_show_themselves_in_ten_lines():
     assert "rods 0.404 m" in lines[-1]
     assert any("monitors" in line for line in lines)
     assert "  safety: none" in repr(Scenario()).splitlines()
-    assert "of their own" in repr(load_robot("reachy_mini"))
+    assert "six different legs" in repr(load_robot("reachy_mini"))
 
 
 @pytest.mark.parametrize(
