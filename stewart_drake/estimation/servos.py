@@ -415,8 +415,7 @@ def _rms(values: np.ndarray) -> float:
 def _start(guess: RobotParameters, recording: ServoRecording, age: float) -> tuple[Samples, np.ndarray, float, float]:
     """Samples, parameters (21,) near the best, unexplained torque [N m], changes of command less angle [rad].
 
-    By linear least squares, for the best of many delays: command - angle is linear in compliance, and compliance times
-    damping and friction. The head is the guess's.
+    Linear least squares at the best of many delays, in compliance, and compliance times damping and friction.
     """
     samples, smooth = torques.filtered(guess, recording)
     if (few := samples.used.mean(axis=0)).min() < _LEAST:
@@ -427,12 +426,11 @@ def _start(guess: RobotParameters, recording: ServoRecording, age: float) -> tup
     load = samples.known + samples.columns[..., torques.BODIES] @ torques.values_of(guess)[torques.BODIES]
     friction = samples.columns[..., torques.VISCOUS], samples.columns[..., torques.COULOMB]
     columns = np.concatenate([load[..., None], *friction], axis=-1)[samples.used]
-    # A command holds for a row: its middle is half a row later.
     command, angles = smooth(recording.commands), smooth(recording.angles)(samples.time)
-    held = 0.5 / recording.rate
 
     def fit(late: float) -> tuple[float, float, np.ndarray, np.ndarray]:
-        twist = (command(samples.time - late - held) - angles)[samples.used]
+        # A command holds for a row: its middle is half a row later.
+        twist = (command(samples.time - late - 0.5 / recording.rate) - angles)[samples.used]
         shares = np.linalg.lstsq(columns, twist, rcond=None)[0]
         return float(np.sum((twist - columns @ shares) ** 2)), late, shares, twist
 
