@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -58,7 +58,6 @@ _AT_FIRST, _UNEXPLAINED = 0.5, 0.2
 """Largest residual of command minus angle over its changes: in the first fit, and after the regression."""
 _FEW = 0.01  # [s] scale of a delay.
 _LEAST = 0.05  # [-] of the rows in which a crank must turn.
-_LAW: Any = {"forgetting": 1e5, "center_of_mass": False}
 _KERNEL = 0.032  # [s] least standard deviation of the law's kernel: twelve bits are rough.
 _FAST, _SHARE = 0.2, 0.2
 """Rows of a crank are left out while it is slower than this rate [rad/s] or this share of its RMS rate, whichever is
@@ -233,7 +232,8 @@ def identify_servos(
     samples, start, noise, changes = _start(robot, first, reading_age)
     noise = float(np.clip(noise / robot.effort_limits.mean(), 1e-4, 1.0))
     slowest = min(_FAST, _SHARE * _rms(samples.rates))
-    law = RegressionOptions(noise=noise, slowest=slowest, smoothing=max(_KERNEL, 1.5 / first.rate), **_LAW)
+    smoothing = max(_KERNEL, 1.5 / first.rate)
+    law = RegressionOptions(forgetting=1e5, center_of_mass=False, noise=noise, slowest=slowest, smoothing=smoothing)
     regression = _Regression(robot, first, reading_age, law, bool(hold))
     rows = _stacked(recordings)
     estimate = regression.estimate(rows, start)
