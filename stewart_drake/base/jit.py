@@ -35,8 +35,8 @@ DISABLED = bool(_CONFIG.DISABLE_JIT)  # Whether laws run in Python, by `NUMBA_DI
 def njit(function: _F) -> _F:
     """Compiles a law: `numba.njit` with numpy's rules for division by zero, without Python's lock, and with a cache.
 
-    numba's cache checks only the file of a function, not those of the functions that it calls. So compiled code is in a
-    folder for the present state of all sources of laws. Without a writable folder there is no cache.
+    numba's cache checks only the file of a function, not those of the functions that it calls. So the name of the
+    folder of compiled code has a digest of all sources of laws. Without a writable folder there is no cache.
     """
     # The entry for calls from C is not needed.
     options: dict[str, Any] = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
@@ -46,7 +46,7 @@ def njit(function: _F) -> _F:
         return compiled
     before = _CONFIG.CACHE_DIR
     try:
-        # The folder is fixed when a cache is made; functions of other packages keep theirs.
+        # A cache keeps the folder that is set when it is made; other packages' functions use the folder from before.
         _CONFIG.CACHE_DIR = str(_FOLDER)
         with suppress(RuntimeError):  # The folder no longer exists.
             compiled._cache = _Cache(function)
@@ -56,7 +56,7 @@ def njit(function: _F) -> _F:
 
 
 def specialised(function: Any, arguments: Sequence[object]) -> Callable[..., Any]:
-    """A law for exactly these types of arguments; any other function is returned unchanged.
+    """The compiled version of a law for exactly these types; a function that is no law is returned unchanged.
 
     Skips numba's type dispatch, which is as slow as a small law; the types are not checked.
     """

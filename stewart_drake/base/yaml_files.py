@@ -36,7 +36,7 @@ def shipped_folder(kind: str) -> Path:
 
 
 def find_file(kind: str, name: str | Path) -> Path:
-    """The file of a `kind`, such as `scenario`, from a path or the stem of a file of the package."""
+    """The file of a `kind`, such as `scenario`, from its path, or for a file of the package from its stem."""
     path, shipped = Path(name), {file.stem: file for file in sorted(shipped_folder(f"{kind}s").glob("*.yaml"))}
     try:
         # A pipe or a device is refused later, when it is read.

@@ -1,17 +1,18 @@
 """Recursive least squares for parameters of motors, head and ball joints while the robot moves, compiled.
 
-No torque is measured. By the model of a motor, its command determines its torque: a motor that takes torques gives the
-command, a servo gives its stiffness times (command - angle). With the inverse dynamics Y of the measured motion,
-separately for the head and for all other bodies, motor i obeys
+No torque is measured. A motor's torque follows from its command: it is the command itself, or for a servo the stiffness
+times (command - angle). With torques Y from the inverse dynamics of the measured motion, separately for the head and
+for all other bodies, motor i obeys
 
     torque_i(t - delay) = exp(drive + drive_i) (exp(head) Y_head_i + moment Y_moment_i + Y_other_i)
                           + (damping + damping_i) rate_i + (coulomb + coulomb_i) tanh(rate_i / width)
                           + viscous Y_viscous_i + dry Y_dry_i + push J^-1_i
 
-`moment` is the change of the head's first moment; it is estimated only if the centre of mass is learnt. `viscous` and
-`dry` are the friction of the ball joints; they are estimated only if that is learnt. `push` is the wrench that the
-motors apply against a person who pushes sideways. Without it, the push would be estimated as friction; no other part
-uses it. A vertical push cannot be told from a heavier head. Servos yield to a push, so it is left out for them.
+exp(head) is a factor of the head's mass, exp(drive + drive_i) of all torques of the bodies. `moment` is the change of
+the head's first moment, estimated only if the centre of mass is learnt. `viscous` and `dry` are the friction of the
+ball joints, estimated only if this friction is learnt. `push` is the wrench that the motors apply against a person who
+pushes sideways. Without it, the push would be estimated as friction; no other part uses it. A vertical push cannot be
+told from a heavier head. Servos yield to a push, so it is left out for them.
 
 Both sides are smoothed by the same Gaussian kernel. The sign of the rate and the torques of the ball joints jump when a
 crank reverses: they are computed from smoothed motion, and then smoothed too. `square_root_filter` updates the
@@ -196,7 +197,7 @@ def _close_block(robot: Robot, joints: Joints, params: RegressionParams, legs: L
 def _append_unsmoothed(
     robot: Robot, joints: Joints, params: RegressionParams, legs: Legs, state: RegressionState
 ) -> None:
-    """Appends rates of the cranks, and torques of the ball joints, in the middle of the newest kernel."""
+    """Appends the cranks' rates and the ball joints' torques at the middle time of the newest kernel."""
     signals = 1 + joint_unknowns(state)
     for row in range(KERNEL - 1):
         for n in range(signals):
@@ -299,7 +300,7 @@ def _needed_torques(
     sample: Sample,
     joints_learnt: bool,
 ) -> bool:
-    """Motor torques for the wrenches at the head, and for all other bodies; False at a singularity."""
+    """Motor torques for the head, unit moments and pushes of it, and all other bodies; False at a singularity."""
     motion, other, torques = sample.motion, sample.other_torque[:], sample.wrench_torque[:]
     twist, twist_rate, wrench, lines = np.empty(6), np.empty(6), np.empty(6), np.empty((6, 6))
     twists_of_motion(motion[:6], motion[6:], sample.acceleration[:], twist, twist_rate)
@@ -421,7 +422,8 @@ def _update(params: RegressionParams, state: RegressionState, rows: Matrix) -> N
         copy_to(state.bounded_per_motor[i], state.per_motor[i])
     copy_to(state.bounded_shared[:], state.shared)
     if joint_unknowns(state) == N_JOINT:
-        # The bounds apply to a copy. On the estimate itself, they would bias the motors' parameters at every sample.
+        # Bounds on the ball joints' friction apply to a copy: on the estimate itself, they would bias the motors'
+        # parameters at every sample.
         most, limit = np.empty(2), largest_size(params.limit[:])
         most[0], most[1] = limit * MOST_DAMPING, limit * MOST_COULOMB
         constrain_last_two(state.motor_rows, state.shared_rows, state.bounded_per_motor, state.bounded_shared, most)

@@ -34,17 +34,17 @@ class BallJoints(Section, key="model.friction.joints"):
     viscous: NotNegative = 0.0
     """[N m s/rad] viscous friction of a joint."""
     coulomb: NotNegative = 0.0
-    """[N m] dry friction of a joint about three axes: the motor's across the rod, the one across both, and the rod."""
+    """[N m] dry friction about three axes: x the motor's axis projected across the rod, y across both, z the rod."""
     width: Positive = 0.01
     """[rad/s] speed about an axis above which dry friction is constant; below, it is proportional to the speed."""
     inertia: NotNegative = 0.0
     """[kg m^2] inertia of a joint, such as MuJoCo's armature."""
     crank: SixNumbers = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
-    """Factors of these for the joints at the cranks."""
+    """Factors of viscous, coulomb and inertia in the joints at the cranks."""
     platform: SixNumbers = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
-    """Factors of these for the joints at the platform."""
+    """Factors of viscous, coulomb and inertia in the joints at the platform."""
     crank_axes: SixTurns = NO_TURNS
-    """[rad] roll, pitch, yaw of the axes of dry friction relative to these, in the joints at the cranks."""
+    """[rad] roll, pitch, yaw that turn the three axes of dry friction in the joints at the cranks."""
     platform_axes: SixTurns | None = None
     """[rad] the same in the joints at the platform, relative to the platform's axes; null for the rod's axes."""
 
@@ -56,10 +56,10 @@ class Joints(Record):
     coulomb: float  # [N m]
     width: float  # [rad/s]
     inertia: float  # [kg m^2]
-    crank: Vec6  # Factors of these for the joints at the cranks.
+    crank: Vec6  # Factors of viscous, coulomb and inertia in the joints at the cranks.
     platform: Vec6  # The same for the joints at the platform.
     turns: Annotated[np.ndarray, (2, 6, 3, 3)]  # Rotations of the axes of dry friction, at cranks and platform.
-    on_platform: float  # 1 where those at the platform are relative to the platform's axes, 0 for the rod's.
+    on_platform: float  # 1 if `turns` at the platform start from the platform's axes, 0 from the rod's.
 
 
 def joints_record(joints: BallJoints | None) -> Joints:

@@ -21,7 +21,7 @@ from stewart_drake.robot import RobotParameters
 
 def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: float) -> np.ndarray:
     """Torques (6,) [N m] that hold the controller's model at a pose; zeros where it cannot be held."""
-    # Then the first tick fails, with a log.
+    # Such a pose makes the first tick fail, which writes a log.
     with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):
         return static_torque(robot, pose, gravity)
     return np.zeros(6)
@@ -57,7 +57,7 @@ class FrictionTorque(Record):
 def friction_tick(
     robot: Robot, friction: Friction, joints: Joints, reference: Vec18, legs: Legs, state: FrictionTorque
 ) -> None:
-    """Torques g(rate) tanh(rate / width) + viscous rate along a reference, and those of the ball joints.
+    """Torques g(rate) tanh(rate / width) + viscous * rate, g by Stribeck's curve, and those of the ball joints.
 
     Zeros where the reference is out of reach.
     """

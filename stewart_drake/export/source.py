@@ -79,7 +79,7 @@ def source_of(function: Callable[..., object]) -> Source:
 
 
 def last_name(node: ast.expr) -> str:
-    """A name without what is before its last dot."""
+    """The part of a name after its last dot."""
     return node.id if isinstance(node, ast.Name) else node.attr if isinstance(node, ast.Attribute) else ""
 
 
@@ -94,7 +94,7 @@ def field_comments(kind: type[Record]) -> dict[str, str]:
 
 
 def comment(text: str, indent: str = "") -> str:
-    """A comment of C, with its end of line; nothing of no text."""
+    """A text as a comment of C with an end of line; an empty text stays empty."""
     if not text:
         return ""
     lines = inspect.cleandoc(text.replace("*/", "* /")).splitlines()
@@ -104,7 +104,7 @@ def comment(text: str, indent: str = "") -> str:
 def scope_of(tree: ast.FunctionDef) -> tuple[dict[str, int], set[str]]:
     """Where C can declare variables, and variables of loops that are used outside of them.
 
-    A variable can be declared on the line that sets it first where all else that concerns it is in the same block.
+    A variable can be declared on the line that first sets it if it is only used in that line's block.
     """
     places: dict[str, list[tuple[tuple[int, ...], int | None]]] = {}
     loops: set[str] = set()

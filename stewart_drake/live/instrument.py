@@ -27,7 +27,7 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.scenario import Scenario
 
 _PULL_LENGTH = 0.15  # [characteristic lengths] stretch of a spring at its largest force.
-_FORCE_SHARE = 0.2  # Largest force or moment of a spring, as a share of `largest`.
+_FORCE_SHARE = 0.2  # Largest force or moment of a spring, as a share of the result of `largest`.
 _PULL_ANGLE = 0.3  # [rad] turn of a spring at its largest moment.
 _STEP_DURATION = 2.0  # [s]
 _PERIODS = 3  # Evaluated periods of a sine, after one that is left out.
@@ -52,7 +52,7 @@ class Slider(NamedTuple):
 
 
 def for_live_page(scenario: Scenario) -> Scenario:
-    """The scenario with explicit gains and model, which would otherwise follow a slider that changes the machine."""
+    """The scenario with explicit gains and model; otherwise a slider of the machine would change them."""
     given = {name: getattr(scenario, name).to_dict() for name in ("controller", "tuner", "estimator")}
     given |= {
         "model.delay": scenario.controller_model.delay,
@@ -172,7 +172,7 @@ MOMENT, FORCE = slice(0, 3), slice(3, 6)  # Of a wrench.
 
 
 def largest(robot: RobotParameters, gravity: float, axes: slice) -> float:
-    """Half of the `MOMENT` [N m] or `FORCE` [N] along one axis that the motors can bear at home; two digits."""
+    """Half of what the motors can bear at home along the strongest axis: `MOMENT` [N m] or `FORCE` [N], two digits."""
     holds = static_torque(robot, robot.home_pose, gravity)
     per_unit = np.linalg.inv(pose_jacobian(robot, robot.home_pose)).T[:, axes]
     room = (robot.effort_limits - np.abs(holds))[:, None] / np.maximum(np.abs(per_unit), 1e-12)
@@ -253,7 +253,7 @@ class Push:
 
 
 class Recorder:
-    """Records the last reference, poses, torques, pushes and changes; `step` [s] is that of the plant."""
+    """Records the last `_RECORDED` s of reference, pose and torque, pushes and changes; `step` [s] is the plant's."""
 
     def __init__(self, step: float) -> None:
         self.every = max(1, round(_RECORD_PERIOD / step))

@@ -41,8 +41,8 @@ def task_inertia(robot: Robot, legs: Legs, out: Mat6) -> None:
         turned(turn, column, out[k, :3])
     turned(turn, robot.platform_moment[:], moment)
     # Kinetic energy of a rod from the velocities of its ends: m/4 of their sum squared, and I/l^2 of their difference,
-    # which is across the rod because its length is constant. The joint's Jacobian is [-[arm] I], as of a point mass;
-    # the tip's is a e_N J_i.
+    # which is across the rod because its length is constant. The Jacobian of the end at the platform is [-[arm] I],
+    # that of the end at the crank a e_N J_i.
     for i in range(6):
         a, arm = robot.crank_length[i], legs.arm[i]
         across = robot.rod_inertia / (robot.rod_length[i] * robot.rod_length[i])
@@ -131,7 +131,7 @@ def loads(robot: Robot, legs: Legs, twist: Vec6, twist_rate: Vec6, gravity: floa
 
 @njit
 def platform_load(robot: Robot, turn: Mat3, twist: Vec6, twist_rate: Vec6, gravity: float, wrench: Vec6) -> None:
-    """Load of the platform: I alpha + w x I w about P, computed in P, and the terms of its centre of mass, in B."""
+    """Load of the platform about P, in B: I alpha + w x I w, from components in P, and terms of its centre of mass."""
     rows = np.zeros((9, 3))
     body_w, body_alpha, spin, load, gyro = rows[0], rows[1], rows[2], rows[3], rows[4]
     for k in range(3):
@@ -187,7 +187,7 @@ def twists_of_motion(pose: Vec6, rate: Vec6, acceleration: Vec6, twist: Vec6, tw
 
 @njit
 def motion_torque(robot: Robot, legs: Legs, motion: Vec12, acceleration: Vec6, gravity: float, torque: Vec6) -> bool:
-    """`inverse_dynamics` of pose and rate, and acceleration, in Euler angles."""
+    """`inverse_dynamics` of a motion in Euler angles: pose and rate (12,), acceleration (6,)."""
     twist, twist_rate = np.empty(6), np.empty(6)
     twists_of_motion(motion[:6], motion[6:], acceleration, twist, twist_rate)
     return inverse_dynamics(robot, legs, twist, twist_rate, gravity, torque)
@@ -216,7 +216,7 @@ def forward_dynamics(
 ) -> bool:
     """Acceleration of the pose [rad/s^2, m/s^2] under motor torques, the inverse of `motion_torque`.
 
-    `crank_acceleration` [rad/s^2] is added to that of the torques, for an observer. False at a singularity.
+    An observer adds a `crank_acceleration` [rad/s^2] to the one that the torques cause. False at a singularity.
     """
     twist, bias, inertia, solution = np.empty(6), np.empty(6), np.empty((6, 6)), np.empty((6, 1))
     twist_of(pose, rate, twist)

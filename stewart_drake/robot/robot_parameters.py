@@ -97,7 +97,7 @@ class RobotParameters(Section, key="robot"):
     shaft_half_angle: HalfAngle = math.radians(8.0)
     """[rad] half the angle between the two shafts of a pair, seen from the centre."""
     crank_plane_angle: Signed = 0.0
-    """[rad] from the pair's direction to a crank's plane, about z, away from its partner: pi/2 is tangential."""
+    """[rad] angle about z from the pair's direction to a crank's plane, away from the other crank; pi/2: tangential."""
     platform_joint_radius: Length = 0.11
     """[m] radius of the circle of the platform's joints."""
     platform_half_angle: HalfAngle = math.radians(52.0)
@@ -109,7 +109,7 @@ class RobotParameters(Section, key="robot"):
     home_height: Length = 0.30
     """[m] Z of P in B at home, the pose of P with roll, pitch, yaw, X, Y zero."""
     tool: Tool | None = None
-    """Frame of poses, a tool's point and axes; null for P. The robot's keys are in P in both cases."""
+    """Frame of a tool, whose poses replace those of P; null for P. The robot's other keys still refer to P."""
     branch: Branch = -1
     """Sign of the acos in the inverse kinematics: -1 (default) or +1; it selects one of the two crank angles."""
     legs: SixLegs | None = None
@@ -166,14 +166,14 @@ class RobotParameters(Section, key="robot"):
     ) -> RobotParameters:
         """A robot from measured positions, a row per leg; for missing parameters see `geometry.from_table`.
 
-        If the legs' cranks are level at different heights, a warning names the leg.
+        A warning names a leg whose crank is level at another platform height than the others.
 
         Args:
             table: Path of a CSV file, or an array (6, 6) of motor shafts in B and platform joints in P; in a seventh
                 column the two motors of a pair have the same number.
             unit: Of all lengths in the table and in `parameters`: m, mm, cm or in.
-            cranks: Direction of level cranks, if not in the table: outwards from the centre, towards the other motor of
-                the pair, away from it, or tangential, at right angles to outwards and away from it.
+            cranks: Direction of level cranks, if not in the table: outwards from the centre; towards the other motor of
+                the pair; away from it; or tangential to the circle about the centre, and away from it.
             **parameters: Keys of this class.
 
         Raises:
@@ -209,7 +209,7 @@ class RobotParameters(Section, key="robot"):
 
     @cached_property
     def crank_yaws(self) -> np.ndarray:
-        """(6,) [rad] about z, from x to the cranks' directions at zero, where these are horizontal."""
+        """(6,) [rad] angles about z from x to the cranks at theta = 0, for cranks that are then horizontal."""
         given = [leg.crank_zero_direction for leg in self.legs] if self.legs else [None] * LEG_COUNT
         symmetric = _PAIR_ANGLES + _SIDE * self.crank_plane_angle
         return _frozen([yaw if h is None else math.atan2(h[1], h[0]) for h, yaw in zip(given, symmetric, strict=True)])
@@ -262,7 +262,7 @@ class RobotParameters(Section, key="robot"):
         return _frozen(self.effort_limits / self.effort_limit)
 
     def heavier(self, head: float, links: float = 1.0) -> dict[str, float | list[float]]:
-        """Keys of all masses and inertias: the platform's times `head`, those of rods, cranks and rotors `links`."""
+        """Keys of all masses and inertias: the platform's times `head`, all others but the base's times `links`."""
         shares = {"rod_mass": links, "rod_inertia": links, "crank_mass": links, "crank_inertia": links}
         shares |= {"rotor_inertia": links, "platform_mass": head, "platform_inertia": head, "platform_products": head}
         return {name: (share * np.asarray(getattr(self, name))).tolist() for name, share in shares.items()}
@@ -346,6 +346,6 @@ class RobotParameters(Section, key="robot"):
         return _frozen(points if self.tool is None else (points - self.tool_position) @ self.tool_rotation)
 
     def _around(self, half_angle: float, radius: float, height: float = 0.0) -> np.ndarray:
-        """(6, 3) points beside the pairs' directions, even legs clockwise."""
+        """(6, 3) points at an angle from their pair's direction: clockwise for even legs, else counterclockwise."""
         angle = _PAIR_ANGLES + _SIDE * half_angle
         return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.full(LEG_COUNT, height)], axis=-1)
