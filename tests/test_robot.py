@@ -297,10 +297,10 @@ WEAK = RobotParameters(legs=[{}, {"effort_limit": 0.95}, {}, {"effort_limit": 8.
 def test_what_is_heavier_needs_torques_in_proportion():
     robot = load_robot("reachy_mini")
     pose = robot.home_pose + [0.1, 0.05, 0.0, 0.002, 0.0, 0.003]
-    both, links = (robot.replace(**robot.heavier(*shares)) for shares in ((1.3, 1.3), (1.0, 1.3)))
+    both, links = (robot.replace(**robot.scaled_masses(*shares)) for shares in ((1.3, 1.3), (1.0, 1.3)))
     np.testing.assert_allclose(static_torque(both, pose), 1.3 * static_torque(robot, pose), rtol=1e-12)
     head = static_torque(both, pose) - static_torque(links, pose)
-    none = robot.replace(**robot.heavier(0.7, 1.3))
+    none = robot.replace(**robot.scaled_masses(0.7, 1.3))
     np.testing.assert_allclose(static_torque(links, pose) - static_torque(none, pose), head, rtol=1e-9)
 
 

@@ -200,7 +200,7 @@ def slow_bus(seed: int, scheme: str, motion: str, changes: dict[str, Any] | None
     """A motion at 100 Hz by current, one tick late, of a robot whose friction, motors and head are drawn."""
     dry, viscous, constant, head = constants(seed)
     friction = {"coulomb": dry, "viscous": viscous, "width": 0.004}
-    robot, motors = GUESS.replace(**GUESS.heavier(head)), {"kind": "current", "torque_constant": constant}
+    robot, motors = GUESS.replace(**GUESS.scaled_masses(head)), {"kind": "current", "torque_constant": constant}
     nominal = {"robot": GUESS, "motors": {"kind": "current"}}
     nominal["friction"] = {"coulomb": NOMINAL_DRY, "viscous": NOMINAL_VISCOUS, "width": 0.004}
     truth = {"robot": robot, "motors": motors, "friction": friction}

@@ -150,8 +150,8 @@ def scenarios(corner, reachy_corner):
 
 def modelled(scenario, share):
     """A scenario whose model has a head of this share of its mass."""
-    robot, controller = scenario.robot.replace(**scenario.robot.heavier(share)), scenario.controller
-    changes = {"model.robot": scenario.robot.heavier(share)}
+    robot, controller = scenario.robot.replace(**scenario.robot.scaled_masses(share)), scenario.controller
+    changes = {"model.robot": scenario.robot.scaled_masses(share)}
     if getattr(controller, "inertia", "diagonal") == "robot":
         # What learns changes the inertia, not what the gains are for.
         share = heave_inertia(robot) / heave_inertia(scenario.robot)

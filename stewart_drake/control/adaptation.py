@@ -163,7 +163,7 @@ def model_of(known: Mapping[str, np.ndarray], before: Any) -> Document:
         joints = LearntJoints.of(known["learnt_joints"])
         levels = {"viscous": float(joints.viscous), "coulomb": float(joints.coulomb)}
         keys["friction"]["joints"] = {**(friction.joints or BallJoints()).to_dict(), **levels}
-    head = robot.heavier(value.mass / robot.platform_mass, weaker)
+    head = robot.scaled_masses(value.mass / robot.platform_mass, weaker)
     if "learnt_center_of_mass" in known:
         # A robot's keys are in P.
         center = robot.tool_rotation @ LearntCenter.of(known["learnt_center_of_mass"]).value
@@ -174,7 +174,7 @@ def model_of(known: Mapping[str, np.ndarray], before: Any) -> Document:
 def machine_text(model: Model) -> str:
     """What is not learnt of a robot and its motors: its links, its kind of motors and a digest of it all."""
     robot, motors = model.robot, model.motors
-    learnt = {*robot.heavier(1.0), "platform_center_of_mass", *_LEARNT_OF_MOTORS}
+    learnt = {*robot.scaled_masses(1.0), "platform_center_of_mass", *_LEARNT_OF_MOTORS}
     fixed = [{key: value for key, value in part.to_dict().items() if key not in learnt} for part in (robot, motors)]
     return f"{robot.links_text}, {motors.kind} motors, {checksum(fixed)}"
 

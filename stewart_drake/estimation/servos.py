@@ -367,7 +367,7 @@ def replay(guess: RobotParameters, recording: ServoRecording, values: np.ndarray
 
 def with_head(guess: RobotParameters, values: np.ndarray) -> RobotParameters:
     """The guess with the head's mass of parameters (21,), its inertia in proportion, and the rotors' inertia."""
-    heavier = guess.heavier(float(values[MASS]) / guess.platform_mass)
+    heavier = guess.scaled_masses(float(values[MASS]) / guess.platform_mass)
     return guess.replace(**heavier | {"rotor_inertia": float(values[ROTOR])})
 
 

@@ -351,9 +351,9 @@ def assessed(
     rows: RunRows, trip: Document | None, end_time: float, ended_by: RunFailure | KeyboardInterrupt | None
 ) -> Document:
     """Outcome, warnings and metrics of a run, as fields of a `SimulationLog`; see `assess`."""
-    outcome, told = assess(rows, trip, end_time, ended_by), {"end_time": end_time, "safety": trip}
+    outcome, facts = assess(rows, trip, end_time, ended_by), {"end_time": end_time, "safety": trip}
     warnings = tuple(plain_json(each) for each in find_warnings(outcome.status, rows, trip))
-    return {**outcome._asdict(), **told, "warnings": warnings, "figures": figures_of(rows)}
+    return {**outcome._asdict(), **facts, "warnings": warnings, "figures": figures_of(rows)}
 
 
 def figures_of(rows: RunRows) -> Document:

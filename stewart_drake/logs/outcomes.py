@@ -50,8 +50,10 @@ RIPPLE_PERIODS = 4.0  # Least number of periods of that frequency in the second 
 NOISES = 3.0  # Standard deviations of a reading, added to the allowed error of a robot that holds its pose.
 AT_REST = 1e-6  # Rate over the largest rate of a motion, below which the motion rests.
 EXCURSION = 10.0  # Peak over RMS of the allowed error of a robot that holds its pose.
-LOOK, MOST_LOOKS = 0.005, 100_000  # [s] between poses that are checked against the limits, and their largest number.
-REST, CUT = 0.25, 2.0  # Rest after the motion over the run, and motion over run, for a warning.
+CHECK_PERIOD = 0.005  # [s] between poses that are checked against the limits.
+MAX_CHECKS = 100_000  # Poses of a run that are checked at most.
+REST_SHARE = 0.25  # Of the run after the end of the motion, for a warning.
+CUT_RATIO = 2.0  # Duration of the motion over that of the run, for a warning.
 
 
 def pose_distance(pose: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -247,10 +249,10 @@ class RunRows:
         """Time [s], motion over run and text if the motion ends long before the run or is cut; else None."""
         moving, duration = np.abs(self["reference_rate"]).max(axis=1), self.scenario.duration
         end = getattr(self.scenario.reference, "end", 0.0)
-        if end > CUT * duration:
+        if end > CUT_RATIO * duration:
             return duration, end / duration, f"the recorded motion of {end:.4g} s is cut at {duration:.4g} s"
         end = self.time[np.flatnonzero(moving > AT_REST * moving.max())].max(initial=0.0)
-        if 0.0 < end < (1.0 - REST) * duration:
+        if 0.0 < end < (1.0 - REST_SHARE) * duration:
             return end, end / duration, f"the motion ends at {end:.4g} s; figures of the second half are mostly of rest"
         return None
 
@@ -258,7 +260,7 @@ class RunRows:
     def excursion(self) -> tuple[LimitMargin, float, float] | None:
         """Longest excursion of the motion from the scenario's limits, see `longest_excursion`; None without one."""
         rows, scenario = np.flatnonzero(self.tick), self.scenario
-        rows = rows[:: max(1, round(LOOK / scenario.controller.period), len(rows) // MOST_LOOKS)]
+        rows = rows[:: max(1, round(CHECK_PERIOD / scenario.controller.period), len(rows) // MAX_CHECKS)]
         motion = self.time[rows], self["pose"][rows], self["pose_rate"][rows]
         return longest_excursion(scenario.robot, scenario.limits, *motion) if len(rows) else None
 

@@ -22,9 +22,9 @@ from stewart_drake.scenario.scenario import load_driven
 
 ROBOT = "reachy_mini"
 DEGREE = math.degrees(1.0)
-SHOWN = {"crank_range": ("deg to stops", DEGREE), "crank_speed": ("deg/s", DEGREE), "torque": ("N m", 1.0)}
-SHOWN |= {"clearance": ("mm clear", 1e3)}
-HEADER = ("no solution", *(unit for unit, _ in SHOWN.values()), "also broken")
+DEMANDS = {"crank_range": ("deg to stops", DEGREE), "crank_speed": ("deg/s", DEGREE), "torque": ("N m", 1.0)}
+DEMANDS |= {"clearance": ("mm clear", 1e3)}
+HEADER = ("no solution", *(unit for unit, _ in DEMANDS.values()), "also broken")
 SOURCE = {"metavar": "FILE|FOLDER|dance:NAME|dances"}
 OUT = opt.option("Folder for NAME.json of each.", opt.OUT_FOLDER, default="runs/moves")
 FORCE = opt.switch("Replace files that are there; never those that are read.")
@@ -43,13 +43,13 @@ def _cells(move: Move) -> tuple[bool, list[str], Document]:
     """Whether a move is feasible; its largest demands and when they occur; and the same as data."""
     report, unreachable = check_move(load_robot(ROBOT), move)
     cells = [f"{_number(100.0 * unreachable)} %"]
-    for name, (_, scale) in SHOWN.items():
+    for name, (_, scale) in DEMANDS.items():
         # A limit without any valid sample has no margin.
         worst = report.smallest.get(name)
         size = 0.0 if worst is None else scale * (worst.margin if name == "crank_range" else worst.value)
         broken = "broken " if worst is not None and worst.margin < 0.0 else ""
         cells.append("-" if worst is None else f"{broken}{_number(size)} @{worst.time:.2f}s")
-    others = [each for name, each in report.smallest.items() if name not in SHOWN and each.margin < 0.0]
+    others = [each for name, each in report.smallest.items() if name not in DEMANDS and each.margin < 0.0]
     cells.append(", ".join(f"{each.limit} {_number(each.value)} @{each.time:.2f}s" for each in others))
     margins = {name: asdict(each) | {"unit": each.unit} for name, each in report.smallest.items()}
     return report.feasible, cells, {"feasible": report.feasible, "no_solution": unreachable, **margins}

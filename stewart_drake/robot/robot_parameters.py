@@ -261,7 +261,7 @@ class RobotParameters(Section, key="robot"):
         """(6,) [-] `effort_limits` over `effort_limit`."""
         return _frozen(self.effort_limits / self.effort_limit)
 
-    def heavier(self, head: float, links: float = 1.0) -> dict[str, float | list[float]]:
+    def scaled_masses(self, head: float, links: float = 1.0) -> dict[str, float | list[float]]:
         """Keys of all masses and inertias: the platform's times `head`, all others but the base's times `links`."""
         shares = {"rod_mass": links, "rod_inertia": links, "crank_mass": links, "crank_inertia": links}
         shares |= {"rotor_inertia": links, "platform_mass": head, "platform_inertia": head, "platform_products": head}

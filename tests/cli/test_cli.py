@@ -117,7 +117,7 @@ def test_what_a_run_learns_is_printed_kept_and_where_the_next_one_begins(call):
 def test_what_was_kept_changes_what_a_simulated_machine_is_believed_to_be_and_not_what_it_is(tmp_path):
     first = load_driven("reachy_servos", ["adaptation=regression"])
     kept = tmp_path / "kept.yaml"
-    heavier = first.controller_model.robot.given() | first.controller_model.robot.heavier(1.5)
+    heavier = first.controller_model.robot.given() | first.controller_model.robot.scaled_masses(1.5)
     kept.write_text(json.dumps(to_plain({"model": first.model.given() | {"robot": heavier}})))
     again = run_commands.load_learnt(load_driven, "reachy_servos", ["adaptation=regression"], kept)
     assert again.controller_model.robot.platform_mass == 1.5 * first.controller_model.robot.platform_mass

@@ -57,7 +57,7 @@ def test_the_torque_of_a_crank_that_sticks_grows_and_no_other_does():
 
 def slow(dry, viscous, constant, head, **changes):
     keys = {
-        "robot": ROBOT.replace(**ROBOT.heavier(head)),
+        "robot": ROBOT.replace(**ROBOT.scaled_masses(head)),
         "plant": {"kind": "closed_form", "motor_friction": dry, "motor_damping": viscous},
         "motors": {"kind": "current", "torque_constant": constant},
         "model": {"robot": ROBOT, "motors": {"kind": "current"}}

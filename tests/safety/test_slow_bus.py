@@ -64,7 +64,7 @@ def test_a_cold_start_is_no_fault(times, head):
     plant = {"kind": "closed_form", "motor_friction": 0.058 * times, "motor_damping": 0.095 * times}
     shipped = load_scenario("reachy_slow_bus")
     loop = {"controller": shipped.controller.given(), "estimator": "difference", "tuner": "block"}
-    believed, real = shipped.robot, shipped.robot.replace(**shipped.robot.heavier(head))
+    believed, real = shipped.robot, shipped.robot.replace(**shipped.robot.scaled_masses(head))
     changes = {"plant": plant, "duration": 5.0, "robot": real, "model.robot": believed}
     log = run(shipped.replace(changes), check=False)
     assert log.status == "completed", log.message
