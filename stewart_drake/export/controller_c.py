@@ -65,6 +65,8 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
     words |= {"PERIOD": number(period).text, "GRID": number(on_grid(period)).text, "UNIT": side.unit}
     words |= {"TICK": number(side.context.period).text, "READING": str(side.context.reading), "READS": side.reading}
     words |= {"REFERENCE": str(18 * len(side.sources)), "NUMBERS": str(loop.numbers), "GIVEN": given.rstrip()}
+    later = {"reference_ahead": f" ({options.preview:g} s later)"}
+    words["MOTIONS"] = ", then of ".join(f"`{of.signal}`{later.get(of.signal, '')}" for of in side.sources)
     words |= {"TAKES": str({"rad": 0, "N m": 1, "A": 2}[side.unit]), "ROWS": str(ticks)}
     words |= {"NEEDS": "READING | MEASURED" if side.context.feedback else "READING"}
     words |= {"MEANS": "angles of the cranks [rad]" if reads_angles else "pose [rad, m] and its rate"}

@@ -12,7 +12,7 @@ from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.base.registry import CONTROLLERS, ESTIMATORS, TUNERS
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.base.yaml_files import shipped_folder
-from stewart_drake.export.controller_c import export_controller
+from stewart_drake.export.controller_c import controller_files, export_controller
 from stewart_drake.export.loop import LoopSource
 from stewart_drake.scenario.assembly import control_side
 from stewart_drake.scenario.controller import controller_parts
@@ -211,3 +211,10 @@ def test_a_controller_in_python_is_refused_by_its_key(tmp_path):
     with pytest.raises(ConfigurationError, match=r"^controller\.kind: expected a kind with compiled laws, .*torques"):
         export_controller(scenario, "mine", tmp_path / "mine")
     assert not (tmp_path / "mine").exists()
+
+
+def test_the_header_names_every_motion_of_a_reference():
+    scenario = load_scenario("reachy_nod")
+    header = controller_files(scenario, "reachy_nod")["reachy_nod.h"]
+    assert "reference: (36,) pose [rad, m], rate and acceleration, six numbers each, of `reference`, then of " in header
+    assert f"`reference_ahead` ({scenario.preview:g} s later)" in header

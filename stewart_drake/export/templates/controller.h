@@ -1,11 +1,11 @@
 /* The controller of the scenario @SCENARIO@, printed by stewart-drake @VERSION@. C99; it needs math.h alone, and allocates
-   nothing. Do not compile it with -ffast-math: it looks for numbers that are none. */
+   nothing. Do not compile it with -ffast-math: it checks for NaN and infinity. */
 #ifndef @UPPER@_H
 #define @UPPER@_H
 
 #define @UPPER@_PERIOD @PERIOD@ /* [s] between two steps */
 #define @UPPER@_READING @READING@ /* numbers of a reading: @MEANS@ */
-#define @UPPER@_REFERENCE @REFERENCE@ /* numbers of a sample of the reference: pose, rate and acceleration, and what is ahead */
+#define @UPPER@_REFERENCE @REFERENCE@ /* numbers of a sample of the reference, 18 of @MOTIONS@ */
 #define @UPPER@_ROWS @ROWS@ /* samples of the scenario's reference in @NAME@_reference.c */
 
 #ifdef __cplusplus
@@ -24,12 +24,12 @@ void @NAME@_reset(struct @NAME@_controller *controller);
 /* One step.
 
    reading: @MEANS@.
-   reference: what is wanted now, (6,) pose [rad, m], (6,) rate, (6,) acceleration.
+   reference: (@REFERENCE@,) pose [rad, m], rate and acceleration, six numbers each, of @MOTIONS@.
    age: [s] of the reading, beyond that in the scenario.
    command: (6,) out, for the motors [@UNIT@].
 
    Returns 0. With any other number the controller has given up: `command` is not set, and the motors are to be
-   brought to rest. 1 and more count the parts of @NAME@_parts; -1 is a command that is no number. */
+   brought to rest. 1 and more count the parts of @NAME@_parts; -1 is a command that is not finite. */
 int @NAME@_step(
     struct @NAME@_controller *controller, const double *reading, const double *reference, double age, double *command);
 
