@@ -47,7 +47,7 @@ check: compiled ## the fast tests, for daily work: less than a minute
 test: compiled ## all tests but the long ones: four minutes on two cores
 	$(PYTEST) -m "not long"
 
-# Needs Debian's chromium and clang. REACHY_DAEMON=FOLDER installs the daemon of Reachy Mini's maker there, and tests it.
+# Needs Debian's chromium. REACHY_DAEMON=FOLDER installs the daemon of Reachy Mini's maker there, and tests it.
 test-all: compiled ## all tests: notebooks, pages in a browser, the site, the wheel too; half an hour
 	$(PYTEST)
 
@@ -120,13 +120,13 @@ format: install ## format the code
 bench: install ## measure what the loop costs, for docs/using.md
 	$(BIN)/pytest tests/benchmarks -p no:xdist -s -q --benchmark-quiet
 
-docs: install ## the site, docs/_build/html/index.html, with the notebooks executed: five minutes
+docs: tab ## the site, docs/_build/html/index.html, with the notebooks executed: five minutes
 	$(SPHINX) -D nb_execution_mode=force
 
-docs-quick: install ## the site with the notebooks as they are: a minute
+docs-quick: tab ## the site with the notebooks as they are: a minute
 	$(SPHINX)
 
-tab: install ## docs/tab.html, the robot in a browser's tab; needs Debian's clang and lld
+tab: install ## docs/tab.html, the robot in a browser's tab
 	$(BIN)/python docs/scripts/tab.py
 
 # The picture of docs/your_robot.md is the `desk.png` that its commands write.

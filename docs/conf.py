@@ -29,8 +29,7 @@ html_theme = "furo"
 html_title = project
 html_static_path = ["site.css"]
 html_css_files = ["site.css"]
-HAS_TAB = (DOCS / "tab.html").exists()  # The tab: `make tab`.
-html_extra_path = ["tab.html"] if HAS_TAB else []
+html_extra_path = ["tab.html"]  # `make tab` makes it
 html_show_sourcelink = False
 html_math_renderer = "mathml"
 
@@ -74,9 +73,6 @@ def site_links(_app, docname, source):
     source[0] = reference.LINK.sub(link, source[0])
     moving = r'<iframe class="meshcat" src="meshcat.html" title="\1" loading="lazy"></iframe>'
     source[0] = re.sub(r"!\[(.*?)\]\(images/meshcat\.png\)", moving, source[0])
-    if not HAS_TAB:
-        # A page that was not made gets no link: its words stay, with what makes it.
-        source[0] = re.sub(r'<a href="tab.html">(.*?)</a>', r"\1 (<code>make tab</code> makes it)", source[0])
 
 
 def write_others(app, error):

@@ -18,6 +18,8 @@ DOCS = Path(__file__).parent.parent / "docs"
 def html(tmp_path_factory):
     """The site, built with warnings as errors."""
     pytest.importorskip("myst_nb")
+    pytest.importorskip("ziglang")
+    python(DOCS / "scripts" / "tab.py")
     folder = tmp_path_factory.mktemp("site")
     python("-m", "sphinx", "-E", "-W", "--keep-going", "-q", "-d", folder / "doctrees", DOCS, folder / "html")
     return folder / "html"

@@ -1,7 +1,7 @@
 """Builds docs/tab.html: robots with their controllers in a browser's tab, one file without server and network.
 
-Plant, motors, sensors and controller are printed as C, see docs/export.md, and compiled to WebAssembly by Debian's
-clang and lld. The page is that of `live`; tab.js stands in for its server. `python docs/scripts/tab.py [FILE]`
+Plant, motors, sensors and controller are printed as C, see docs/export.md, and compiled to WebAssembly by the clang of
+the Python package ziglang. The page is that of `live`; tab.js stands in for its server. `python docs/scripts/tab.py [FILE]`
 """
 
 from __future__ import annotations
@@ -245,7 +245,7 @@ def module_text(scenario: Scenario, source: LoopSource) -> str:
 
 
 FLAGS = [
-    "--target=wasm32",
+    "--target=wasm32-freestanding",
     "-std=c99",
     "-O2",
     "-Wall",
@@ -268,10 +268,10 @@ def compiled(text: str) -> bytes:
         link = [
             "-Wl,--no-entry",
             "-Wl,--strip-all",
-            "-Wl,--allow-undefined",
             *(f"-Wl,--export={name}" for name in EXPORTS),
         ]
-        subprocess.run(["clang", *FLAGS, f"-I{folder}", *link, "-o", "tab.wasm", "tab.c"], cwd=folder, check=True)
+        clang = [sys.executable, "-m", "ziglang", "cc"]
+        subprocess.run([*clang, *FLAGS, f"-I{folder}", *link, "-o", "tab.wasm", "tab.c"], cwd=folder, check=True)
         return (folder / "tab.wasm").read_bytes()
 
 

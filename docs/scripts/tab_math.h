@@ -8,6 +8,8 @@
 #define fabs __builtin_fabs
 #define sqrt __builtin_sqrt
 #define rint __builtin_rint
-double sin(double), cos(double), asin(double), acos(double), atan2(double, double), tanh(double), exp(double);
-double log10(double), pow(double, double), fmod(double, double);
+#define BROWSER(name, ...) __attribute__((import_module("env"), import_name(#name))) double name(__VA_ARGS__)
+BROWSER(sin, double); BROWSER(cos, double); BROWSER(asin, double); BROWSER(acos, double); BROWSER(tanh, double);
+BROWSER(exp, double); BROWSER(log10, double); BROWSER(atan2, double, double); BROWSER(pow, double, double);
+BROWSER(fmod, double, double);
 #endif

@@ -1,16 +1,22 @@
 """The robot in a tab: the page of `make tab` does what Python does, faster than real time and without a network."""
 
+import json
 import os
 import shutil
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-pytestmark = [pytest.mark.long, pytest.mark.xdist_group("browser")]
+pytest.importorskip("ziglang")
+playwright = pytest.importorskip("playwright")
+
+NODE = Path(playwright.__file__).parent / "driver" / "node"
+SCRIPT = Path(__file__).parents[2] / "docs" / "scripts" / "tab.js"
 CHROMIUM = shutil.which("chromium")
 ARGS = ["--no-sandbox", "--disable-quic", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-LATER = """async (name) => {
-  const robot = JSON.parse(document.getElementById("tab-data").textContent)[name];
+FIRST_SECOND = """async () => {
   const session = new TabSession(robot);
   await session.load();
   const rows = [];
@@ -20,8 +26,7 @@ LATER = """async (name) => {
   const factor = 5000 / (performance.now() - before);
   return { rows, links: rows.map((row) => linksOf(row.frames)), factor, ended: session.ended };
 }"""
-LEARNT = """async (name) => {
-  const robot = JSON.parse(document.getElementById("tab-data").textContent)[name];
+LEARNT = """async () => {
   const session = new TabSession(robot);
   await session.load();
   const error = (seconds) => {
@@ -40,13 +45,31 @@ LEARNT = """async (name) => {
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory):
-    if None in (CHROMIUM, shutil.which("clang"), shutil.which("wasm-ld")) and "CI" not in os.environ:
-        pytest.skip("needs Chromium, clang and lld")
+def data():
+    import tab
+
+    return {name: tab.robot_data(name, scenario) for name, scenario in tab.robots().items()}
+
+
+def in_node(code, robot):
+    """Value of an asynchronous function of JavaScript, with the page's script and a robot."""
+    program = (
+        f"const {{ TabSession, linksOf }} = require({json.dumps(str(SCRIPT))});\n"
+        'const robot = JSON.parse(require("fs").readFileSync(0, "utf-8"));\n'
+        f"({code})().then((result) => console.log(JSON.stringify(result)));"
+    )
+    command = [NODE, "-e", program]
+    run = subprocess.run(command, input=json.dumps(robot), capture_output=True, text=True, check=True)
+    return json.loads(run.stdout)
+
+
+@pytest.fixture(scope="module")
+def page(data, tmp_path_factory):
+    if CHROMIUM is None and "CI" not in os.environ:
+        pytest.skip("needs Chromium")
     import tab
     from playwright.sync_api import sync_playwright
 
-    data = {name: tab.robot_data(name, scenario) for name, scenario in tab.robots().items()}
     file = tmp_path_factory.mktemp("tab") / "tab.html"
     file.write_text(tab.page(data))
     assert file.stat().st_size < 2e6
@@ -64,14 +87,16 @@ def page(tmp_path_factory):
         browser.close()
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group("tab")
 @pytest.mark.parametrize("name", ["Robot of the paper", "Reachy Mini"])
-def test_the_first_second_is_that_of_python(page, name):
+def test_the_first_second_is_that_of_python(data, name):
     import tab
 
     from stewart_drake.live.loop import LiveLoop
     from stewart_drake.runs.scene import link_poses
 
-    result = page.evaluate(LATER, name)
+    result = in_node(FIRST_SECOND, data[name])
     assert result["ended"] == ""
     assert result["factor"] > 3.0
     loop = LiveLoop(tab.robots()[name])
@@ -85,14 +110,18 @@ def test_the_first_second_is_that_of_python(page, name):
         assert (np.abs(np.sum(drawn[:, 3:] * expected[:, 3:], axis=1)) > 0.999).all()
 
 
+@pytest.mark.slow
+@pytest.mark.xdist_group("tab")
 @pytest.mark.parametrize("name", ["Robot of the paper", "Reachy Mini"])
-def test_wrong_friction_is_learnt(page, name):
-    right, wrong, learnt, ended = page.evaluate(LEARNT, name)
+def test_wrong_friction_is_learnt(data, name):
+    right, wrong, learnt, ended = in_node(LEARNT, data[name])
     assert ended == ""
     assert wrong > 3.0 * right
     assert learnt < 1.5 * right
 
 
+@pytest.mark.long
+@pytest.mark.xdist_group("browser")
 def test_the_panel_reaches_the_robot(page):
     page.click("#push-plus-X")
     page.evaluate("tell({ do: 'push', wrench: [0, 0, 0, 5, 0, 0], duration: 5 })")  # a busy page misses a short one
