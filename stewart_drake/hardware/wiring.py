@@ -1,0 +1,106 @@
+"""How the command of a hobby servo follows from a crank's angle: microseconds of a pulse, or counts of a bus servo."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from stewart_drake.base.config import NotNegative, Positive, Section, SixNumbers, one_for_six
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.robot import RobotParameters
+
+if TYPE_CHECKING:
+    from stewart_drake.hardware.motors import MotorOptions
+
+_Way = Literal[-1, 1]
+_Gain = Annotated[float, Field(ge=0.5, le=2.0)]
+_Six = tuple[_Gain, _Gain, _Gain, _Gain, _Gain, _Gain]
+BEYOND = 1e-6  # [rad] by which a limit may be beyond what a servo reaches.
+NO_RATE = 50.0  # [1/s] commands of servos of which nothing is known.
+NO_SPEED = 6.0  # [rad/s] the same.
+
+
+class ServoOptions(Section, key="model.servos"):
+    """Six hobby servos on a board, for `export --sketch`. A servo in the middle of its travel has its crank at home.
+
+    angle = home angle + offset + gain direction (command - middle) travel / (largest - smallest command)
+
+    Commands are the microseconds of a pulse, or counts of a bus servo. Angles are those of the robot's file. Whether
+    leg 0 turns with a longer pulse towards its positive angle, `direction` tells; with a wrong one it moves the wrong
+    way, with a wrong `offset` it is off at home, and with a wrong `gain` it is off elsewhere.
+    """
+
+    commands: tuple[NotNegative, NotNegative] | None = None
+    """Smallest and largest command: pulses [us], or counts of a bus servo; null for those of `motors.preset`."""
+    travel: Positive | None = None
+    """[rad] that a servo turns from the smallest to the largest command; null for that of `motors.preset`."""
+    direction: Annotated[tuple[_Way, _Way, _Way, _Way, _Way, _Way], one_for_six(_Way)] = (1,) * 6
+    """[-] 1 where a larger command turns a crank to larger angles, -1 where to smaller ones."""
+    offset: SixNumbers = (0.0,) * 6
+    """[rad] trim: angle of a crank beyond its home angle, with the servo in the middle of its travel."""
+    gain: Annotated[_Six, one_for_six(_Gain)] = (1.0,) * 6
+    """[-] angle that a servo really turns, over that by `travel`, 0.5 to 2."""
+    lowest: SixNumbers | None = None
+    """[rad] smallest angle of a crank, a soft stop that no command passes; null for the robot's stop, or the end of
+    the servo's travel before it."""
+    highest: SixNumbers | None = None
+    """[rad] the same for the largest angle."""
+    speed: Positive | None = None
+    """[rad/s] largest speed of a commanded crank; null for the servo's speed without load."""
+    rest_after: NotNegative | None = 5.0
+    """[s] without a packet, after which a board that holds moves the cranks slowly home; null to hold for ever."""
+
+    def wiring(self, robot: RobotParameters, motors: MotorOptions) -> Wiring:
+        """The numbers for a robot with such motors; ConfigurationError where one is missing or does not fit."""
+        preset = motors.gear
+        known = {} if preset is None or preset.wiring is None else preset.wiring
+        commands, travel = self.commands or known.get("commands"), self.travel or known.get("travel")
+        for name, value, unit in (("commands", commands, "pulses [us]"), ("travel", travel, "an angle [rad]")):
+            if value is None:
+                allowed = f"{unit} of the servo, or model.motors with a preset that has them, such as mg996r"
+                raise ConfigurationError(f"model.servos.{name}", None, allowed)
+        least, most = commands
+        if not least < most <= 65535:
+            raise ConfigurationError("model.servos.commands", list(commands), "a smaller and a larger one, 0 to 65535")
+        home = inverse_kinematics(robot, robot.home_pose)
+        per_rad = np.array(self.direction) * (most - least) / (travel * np.array(self.gain))
+        zero, middle, half = home + self.offset, 0.5 * (least + most), 0.5 * travel * np.array(self.gain)
+        low, high = np.maximum(zero - half, robot.crank_angle_ranges[:, 0]), zero + half
+        high = np.minimum(high, robot.crank_angle_ranges[:, 1])
+        for name, given in (("lowest", self.lowest), ("highest", self.highest)):
+            for leg in range(0 if given is None else 6):
+                if not zero[leg] - half[leg] - BEYOND <= given[leg] <= zero[leg] + half[leg] + BEYOND:
+                    reach = f"{zero[leg] - half[leg]:.4g} to {zero[leg] + half[leg]:.4g} rad"
+                    allowed = f"within {reach}, what commands {least:g} to {most:g} reach"
+                    raise ConfigurationError(f"model.servos.{name}[{leg}]", given[leg], allowed)
+        low = low if self.lowest is None else np.maximum(low, self.lowest)
+        high = high if self.highest is None else np.minimum(high, self.highest)
+        for leg in range(6):
+            if not low[leg] - BEYOND <= home[leg] <= high[leg] + BEYOND:
+                allowed = f"limits around the home angle {home[leg]:.4g} rad of leg {leg}: check offset and limits"
+                raise ConfigurationError("model.servos", f"{low[leg]:.4g} to {high[leg]:.4g} rad", allowed)
+        ends = np.sort(middle + per_rad * (np.stack([low, high]) - zero), axis=0)
+        within = np.clip(np.stack([np.ceil(ends[0] - BEYOND), np.floor(ends[1] + BEYOND)]), least, most)
+        rate, speed = known.get("rate", NO_RATE), self.speed or getattr(motors, "no_load_speed", None) or NO_SPEED
+        return Wiring(known.get("kind"), middle, zero, per_rad, np.stack([low, high]), within, home, speed, rate)
+
+
+class Wiring(NamedTuple):
+    """`ServoOptions` as numbers of each servo, for a robot and its motors."""
+
+    kind: str | None  # Of the servos: `rc`, `sts`, `dynamixel`; None where it is not known.
+    middle: float  # Command in the middle of the travel.
+    zero: np.ndarray  # (6,) [rad] angle of the crank there.
+    per_rad: np.ndarray  # (6,) commands per rad, negative where they turn a crank to smaller angles.
+    angles: np.ndarray  # (2, 6) [rad] lowest and highest angles of the cranks.
+    within: np.ndarray  # (2, 6) smallest and largest commands within these.
+    home: np.ndarray  # (6,) [rad] angles of the cranks in the home pose.
+    speed: float  # [rad/s] largest speed of a commanded crank.
+    rate: float  # [1/s] most commands.
+
+    def commands(self, angles: np.ndarray) -> np.ndarray:
+        """Commands (..., 6), whole numbers, at angles (..., 6) [rad]; never beyond `within`."""
+        return np.clip(np.floor(self.middle + self.per_rad * (angles - self.zero) + 0.5), *self.within)
