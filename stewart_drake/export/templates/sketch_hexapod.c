@@ -96,7 +96,8 @@ static void tick(void)
 {
     uint16_t commands[6];
     float values[6];
-    if (!sd_holds(&side, now_us)) {
+    const int holds = sd_holds(&side, now_us);
+    if (!holds) {
 #if SERVOS_POSES
         if (side.kind == SD_POSE) {
             goal_from_pose();
@@ -108,9 +109,11 @@ static void tick(void)
     } else {
         const int rests = SERVOS_REST_US > 0 && side.heard && now_us - side.heard_us > SERVOS_REST_US;
         memcpy(goal, rests ? servos_home : angles, sizeof goal);
-        speed = SERVOS_SLOW;
     }
     approach();
+    if (holds) {
+        speed = SERVOS_SLOW;
+    }
     command_servos();
     if (!sd_asked(&side, now_us) || (side.measured && board_positions(commands) != 1)) {
         return;
@@ -157,6 +160,7 @@ void hexapod_begin(void)
 #if SERVOS_POSES
     pose_init(&controller);
 #endif
+    speed = SERVOS_SLOW;
     command_servos();
     clock_us = board_micros();
 }
