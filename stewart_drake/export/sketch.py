@@ -88,7 +88,8 @@ def sketch_files(options: ControlOptions, name: str, folder: str, board: str) ->
     if poses:
         control = options.control() if isinstance(options, Scenario) else options
         printed = controller_files(control.replace({"model.reading": "angles"}), name, "pose")
-        files |= {file: printed[file] for file in ("pose.h", "pose.c")}
+        files |= {"pose.h": printed["pose.h"]}
+        files["pose.c"] = f'#include "servos.h"\n\n#if SERVOS_POSES\n{printed["pose.c"]}#endif\n'
     return files
 
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _Way = Literal[-1, 1]
 _Gain = Annotated[float, Field(ge=0.5, le=2.0)]
 _Six = tuple[_Gain, _Gain, _Gain, _Gain, _Gain, _Gain]
-BEYOND = 1e-6  # [rad] by which a limit may be beyond what a servo reaches.
+BEYOND = 1e-6  # [rad] by which a stop may be beyond what a servo reaches.
 NO_RATE = 50.0  # [1/s] commands of servos of which nothing is known.
 NO_SPEED = 6.0  # [rad/s] the same.
 
@@ -28,9 +28,9 @@ class ServoOptions(Section, key="model.servos"):
 
     angle = home angle + offset + gain direction (command - middle) travel / (largest - smallest command)
 
-    Commands are the microseconds of a pulse, or counts of a bus servo. Angles are those of the robot's file. Whether
-    leg 0 turns with a longer pulse towards its positive angle, `direction` tells; with a wrong one it moves the wrong
-    way, with a wrong `offset` it is off at home, and with a wrong `gain` it is off elsewhere.
+    Commands are the microseconds of a pulse, or counts of a bus servo; none is ever beyond the stops of the robot's
+    legs, `crank_angle_range`. A crank with a wrong `direction` moves the wrong way, with a wrong `offset` it is off at
+    home, and with a wrong `gain` elsewhere.
     """
 
     commands: tuple[NotNegative, NotNegative] | None = None
@@ -43,11 +43,6 @@ class ServoOptions(Section, key="model.servos"):
     """[rad] trim: angle of a crank beyond its home angle, with the servo in the middle of its travel."""
     gain: Annotated[_Six, one_for_six(_Gain)] = (1.0,) * 6
     """[-] angle that a servo really turns, over that by `travel`, 0.5 to 2."""
-    lowest: SixNumbers | None = None
-    """[rad] smallest angle of a crank, a soft stop that no command passes; null for the robot's stop, or the end of
-    the servo's travel before it."""
-    highest: SixNumbers | None = None
-    """[rad] the same for the largest angle."""
     speed: Positive | None = None
     """[rad/s] largest speed of a commanded crank; null for the servo's speed without load."""
     rest_after: NotNegative | None = 5.0
@@ -68,20 +63,16 @@ class ServoOptions(Section, key="model.servos"):
         home = inverse_kinematics(robot, robot.home_pose)
         per_rad = np.array(self.direction) * (most - least) / (travel * np.array(self.gain))
         zero, middle, half = home + self.offset, 0.5 * (least + most), 0.5 * travel * np.array(self.gain)
-        low, high = np.maximum(zero - half, robot.crank_angle_ranges[:, 0]), zero + half
-        high = np.minimum(high, robot.crank_angle_ranges[:, 1])
-        for name, given in (("lowest", self.lowest), ("highest", self.highest)):
-            for leg in range(0 if given is None else 6):
-                if not zero[leg] - half[leg] - BEYOND <= given[leg] <= zero[leg] + half[leg] + BEYOND:
-                    reach = f"{zero[leg] - half[leg]:.4g} to {zero[leg] + half[leg]:.4g} rad"
-                    allowed = f"within {reach}, what commands {least:g} to {most:g} reach"
-                    raise ConfigurationError(f"model.servos.{name}[{leg}]", given[leg], allowed)
-        low = low if self.lowest is None else np.maximum(low, self.lowest)
-        high = high if self.highest is None else np.minimum(high, self.highest)
+        low, high = np.stack([zero - half, zero + half])
+        for leg, (lowest, highest) in enumerate(robot.crank_angle_ranges):
+            if np.isfinite(lowest) and not low[leg] - BEYOND <= lowest < highest <= high[leg] + BEYOND:
+                allowed = f"within {low[leg]:.4g} to {high[leg]:.4g} rad, what commands {least:g} to {most:g} reach"
+                raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", [float(lowest), float(highest)], allowed)
+        low, high = np.maximum(low, robot.crank_angle_ranges[:, 0]), np.minimum(high, robot.crank_angle_ranges[:, 1])
         for leg in range(6):
             if not low[leg] - BEYOND <= home[leg] <= high[leg] + BEYOND:
-                allowed = f"limits around the home angle {home[leg]:.4g} rad of leg {leg}: check offset and limits"
-                raise ConfigurationError("model.servos", f"{low[leg]:.4g} to {high[leg]:.4g} rad", allowed)
+                allowed = f"less: the servo of leg {leg} would not reach its home angle {home[leg]:.4g} rad"
+                raise ConfigurationError("model.servos.offset", list(self.offset), allowed)
         ends = np.sort(middle + per_rad * (np.stack([low, high]) - zero), axis=0)
         within = np.clip(np.stack([np.ceil(ends[0] - BEYOND), np.floor(ends[1] + BEYOND)]), least, most)
         rate, speed = known.get("rate", NO_RATE), self.speed or getattr(motors, "no_load_speed", None) or NO_SPEED

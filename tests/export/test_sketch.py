@@ -12,10 +12,9 @@ import pytest
 from compiled import CHECKED, STRICT, compiled, compiler
 from conftest import python
 
-from stewart_drake import inverse_kinematics, load_log
+from stewart_drake import inverse_kinematics, load_log, load_robot
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.export.sketch import BOARDS, export_sketch, wiring_of
-from stewart_drake.hardware.wiring import ServoOptions
 from stewart_drake.machines.machine import command_limits
 from stewart_drake.machines.packet import ACTIVE, MEASURED, Packet, decode, encode, flags_of, from_frame, to_frame
 from stewart_drake.mechanics.kinematics import forward_kinematics
@@ -25,13 +24,14 @@ from stewart_drake.scenario.scenario import load_driven
 HERE = Path(__file__).parent
 DIRECTION, OFFSET = np.array([1, -1, 1, -1, 1, -1]), np.array([0.05, 0.0, -0.1, 0.02, 0.0, 0.03])
 GAIN = np.array([1.0, 1.05, 0.96, 1.0, 1.02, 1.0])
-SERVOS = {"direction": DIRECTION.tolist(), "offset": OFFSET.tolist(), "gain": GAIN.tolist(), "lowest": -0.8}
+SERVOS = {"direction": DIRECTION.tolist(), "offset": OFFSET.tolist(), "gain": GAIN.tolist()}
+LIMITED = load_robot("servo_hexapod").given() | {"legs": [{"crank_angle_range": [-0.8, 1.4]}] * 6}
 CHANGES = {
     "adaptation": None,
-    "model": {"robot": "servo_hexapod", "motors": {"kind": "position", "preset": "mg996r"}, "servos": SERVOS},
+    "model": {"robot": LIMITED, "motors": {"kind": "position", "preset": "mg996r"}, "servos": SERVOS},
     "controller.feedforward": "none",
 }
-HOBBY = load_driven("hobby_servos").replace({**CHANGES, "motors": CHANGES["model"]["motors"]})
+HOBBY = load_driven("hobby_servos").replace({**CHANGES, "robot": LIMITED, "motors": CHANGES["model"]["motors"]})
 ROBOT = HOBBY.controller_model.robot
 HOME = inverse_kinematics(ROBOT, ROBOT.home_pose)
 TICK = 20_000  # [us]
@@ -119,10 +119,9 @@ def test_pulses_are_those_of_python_and_never_beyond_the_limits(board):
     for angle in [*rng.uniform(-2.0, 2.0, 300), 1e300, -1e300, np.inf, -np.inf]:
         given = [board.command(leg, angle) for leg in range(6)]
         assert given == wiring.commands(np.full(6, angle)).tolist()
-        assert (turned(given) >= -0.8 - 1e-9).all()
-        wanted, share = max(angle, -0.8), 0.5 if angle > -0.8 else 1.0  # of a microsecond; inwards at a limit
-        reached = (np.abs(turned(given) - wanted) < share * np.pi / 2000.0 * GAIN + 1e-9) | np.isin(given, (500, 2500))
-        assert reached.all()
+        assert (np.abs(turned(given) - 0.3) <= 1.1 + 1e-9).all()
+        wanted, share = np.clip(angle, -0.8, 1.4), 0.5 if -0.8 < angle < 1.4 else 1.0  # of a pulse; inwards at a stop
+        assert (np.abs(turned(given) - wanted) < share * np.pi / 2000.0 * GAIN + 1e-9).all()
     assert all(500 <= board.command(leg, np.nan) <= 2500 for leg in range(6))
     assert turned([board.command(leg, 0.3) for leg in range(6)]) == pytest.approx(0.3, abs=1e-3)
     assert [board.library.hexapod_angle(leg, 1700) for leg in range(6)] == pytest.approx(turned([1700] * 6).tolist())
@@ -184,7 +183,7 @@ def test_no_bytes_whatever_move_a_servo_beyond_its_limits(board):
         assert (pulses >= wiring.within[0]).all()
         assert (pulses <= wiring.within[1]).all()
     follow(board, HOME, ticks=100)
-    follow(board, HOME + 1.56, ticks=60)  # beyond one servo's travel: not accepted
+    follow(board, np.append(HOME[:5], 1.401), ticks=60)  # beyond a stop: not accepted
     assert turned(board.pulses) == pytest.approx(HOME, abs=1e-3)
 
 
@@ -351,8 +350,8 @@ def test_the_hardware_is_one_short_file(board, tmp_path):
         ({"motors": "torque", "model.motors": None}, "pca9685", r"motors.kind: expected position: .*preset: mg996r"),
         ({}, "uno", r"--board: expected computer, pca9685, rp2040, sts or dynamixel"),
         ({}, "sts", r"--board: expected computer or pca9685 or rp2040, for servos that take microseconds"),
-        ({"model.servos.lowest": -1.7}, "pca9685", r"model.servos.lowest\[0\]: expected within -1\.522 to 1\.62 rad"),
-        ({"model.servos.highest": -0.1}, "pca9685", r"model.servos: expected limits around the home angle .* of leg 0"),
+        ({"model.servos.travel": 1.5}, "pca9685", r"robot.legs.0.crank_angle_range: expected within -0\.7.* to 0\.7.* rad"),
+        ({"model.servos.offset": [0, 0, 0, 2, 0, 0], "model.robot": "servo_hexapod"}, "pca9685", r"offset: .* leg 3 would"),
         ({"model.home": [0.1, 0, 0, 0, 0, 0]}, "pca9685", r"model.home: expected zeros: .*model.servos.offset"),
         ({"controller.period": 0.01}, "pca9685", r"controller.period: expected 0.02 to 0.05 s between two commands"),
         ({"model.motors": {"kind": "position"}}, "pca9685", r"model.servos.commands: expected pulses .* mg996r"),
@@ -374,9 +373,9 @@ def test_a_controller_that_needs_readings_leaves_poses_to_the_computer(tmp_path,
 
 
 def test_a_computer_sends_nothing_beyond_the_limits_of_the_servos():
-    low, _ = command_limits(HOBBY)
-    assert low == pytest.approx(-0.8)
-    assert ServoOptions().wiring(ROBOT, HOBBY.controller_model.motors).angles[1] == pytest.approx(HOME + np.pi / 2)
+    assert command_limits(HOBBY) == pytest.approx(np.array([[-0.8] * 6, [1.4] * 6]))
+    free = HOBBY.replace({"model.robot": "servo_hexapod"})
+    assert command_limits(free)[0] == pytest.approx(HOME + OFFSET - GAIN * np.pi / 2)
 
 
 @pytest.mark.slow
