@@ -112,7 +112,8 @@ def _print_plan(loaded: Scenario, url: str, machine: Machine, start: Start) -> N
     fmu=opt.option("Folder for controller and robot as FMI 3.0 units.", opt.OUT_FOLDER, "--fmu"),
     sketch=opt.option("Folder for the program of a board with six hobby servos.", opt.OUT_FOLDER, "--sketch"),
     board=opt.option(
-        "Board of the sketch: computer, pca9685, rp2040, sts or dynamixel; computer needs no hardware.", default="computer"
+        "Board of the sketch: computer, pca9685, rp2040, sts or dynamixel; computer needs no hardware.",
+        default="computer",
     ),
 )
 def export(

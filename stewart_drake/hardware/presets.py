@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal, NamedTuple, TypedDict
+from typing import Literal, NamedTuple
 
 from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.families import Table
@@ -25,34 +25,27 @@ class Preset(NamedTuple):
     wiring: Wire | None = None
 
 
-class Wire(TypedDict):
-    """What a servo is sent: see `ServoOptions`."""
+class Wire(NamedTuple):
+    """What a servo is sent, see `ServoOptions`. Six bus servos at 1,000,000 baud take 100 commands a second."""
 
     kind: Literal["rc", "sts", "dynamixel"]  # Pulses, or whose bus.
-    commands: tuple[float, float]  # Pulses [us], or counts of a bus servo.
-    travel: float  # [rad] from one to the other.
-    rate: float  # [1/s] most commands.
+    commands: tuple[float, float] = (0.0, 4095.0)  # Pulses [us], or counts of a bus servo.
+    travel: float = 2.0 * math.pi * 4095.0 / 4096.0  # [rad] from one to the other.
+    rate: float = 100.0  # [1/s] most commands.
 
 
-def _pulses(shortest: float, longest: float, degrees: float, rate: float) -> Wire:
-    return {"kind": "rc", "commands": (shortest, longest), "travel": math.radians(degrees), "rate": rate}
-
-
-def _rc(about: str, torque: float, seconds: float, dead_band: float, backlash: float, wiring: Wire) -> Preset:
-    """An RC servo of a stall torque [N m] and a time [s] for 60 deg, with a dead band [us].
+def _rc(about: str, torque: float, seconds: float, dead_band: float, backlash: float, rate: float) -> Preset:
+    """An RC servo of a stall torque [N m] and a time [s] for 60 deg, with a dead band [us]; 180 deg for 2000 us.
 
     Full torque at an error of 4 deg, friction of 3 % of it, and play [deg] are estimates for all of them.
     """
-    speed, (shortest, longest) = math.radians(60.0) / seconds, wiring["commands"]
-    position = {"stiffness": torque / math.radians(4.0), "damping": torque / speed, "torque_limit": torque}
-    position |= {"no_load_speed": speed, "dead_band": dead_band * wiring["travel"] / (longest - shortest)}
-    position |= {"backlash": math.radians(backlash), "resolution_bits": None}
-    return Preset(about, coulomb=0.03 * torque, position=position, wiring=wiring)
+    speed = math.radians(60.0) / seconds
+    numbers = {"stiffness": torque / math.radians(4.0), "damping": torque / speed, "torque_limit": torque}
+    numbers |= {"no_load_speed": speed, "backlash": math.radians(backlash), "dead_band": dead_band * math.pi / 2000.0}
+    wire = Wire("rc", (500.0, 2500.0), math.pi, rate)
+    return Preset(about, coulomb=0.03 * torque, position={**numbers, "resolution_bits": None}, wiring=wire)
 
 
-def _counts(kind: Literal["sts", "dynamixel"]) -> Wire:
-    """A turn in 12 bits. Six servos on a line of 1,000,000 baud can be asked and told 100 times a second."""
-    return {"kind": kind, "commands": (0.0, 4095.0), "travel": 2.0 * math.pi * 4095.0 / 4096.0, "rate": 100.0}
 PRESETS = {
     # 0.52 N m at 1.47 A, 103 rev/min, 12 bits, current in steps of 1 mA: ROBOTIS e-Manual, XL330-M288-T at 5 V. Reachy
     # Mini's servos are set to a gain P of 300. Stiffness and damping at it, and friction: by the constants that
@@ -64,7 +57,7 @@ PRESETS = {
         position={"stiffness": 1.0, "damping": 0.04, "torque_limit": 0.52, "no_load_speed": math.radians(618.0)},
         current={"torque_constant": 0.52 / 1.47, "current_limit": 1.47, "resolution": 0.001}
         | {"no_load_speed": math.radians(618.0)},
-        wiring=_counts("dynamixel"),
+        wiring=Wire("dynamixel"),
     ),
     # 30 kg cm and 45 rev/min at 12 V, 12 bits: Feetech's data sheet of the STS3215-C018 (gear 1:345). Stiffness,
     # damping and friction: class sts3215_345 of the MJCF in reachy_mini 1.13.0, which reports good simulations of a
@@ -77,7 +70,7 @@ PRESETS = {
         coulomb=0.068,
         position={"stiffness": 27.7, "damping": 0.56, "torque_limit": 2.94, "no_load_speed": math.radians(270.0)}
         | {"backlash": math.radians(0.87)},
-        wiring=_counts("sts"),
+        wiring=Wire("sts"),
     ),
     # 20 kg cm and 0.16 s for 60 deg at 6.8 V, dead band 3 us of 2000 us for 180 deg: data sheets of 20 kg cm servos
     # such as the DS3218. Full torque at an error of 4 deg, friction of 3 % of it and half a degree of play: estimates.
@@ -86,18 +79,18 @@ PRESETS = {
         coulomb=0.06,
         position={"stiffness": 28.0, "damping": 0.3, "torque_limit": 1.96, "no_load_speed": math.radians(375.0)}
         | {"resolution_bits": None, "dead_band": math.radians(0.27), "backlash": math.radians(0.5)},
-        wiring=_pulses(500.0, 2500.0, 180.0, 50.0),
+        wiring=Wire("rc", (500.0, 2500.0), math.pi, 50.0),
     ),
-    # 11 kg cm, 0.14 s for 60 deg at 6 V, dead band 5 us, 50 Hz: TowerPro's data sheet "MG996R High Torque Metal Gear Dual
-    # Ball Bearing Servo". It gives 120 deg for 1 to 2 ms; shops sell it as 180 deg for 500 to 2500 us, and a copy was
-    # measured at 600 to 2300 us. Measure `travel` of yours.
-    "mg996r": _rc("TowerPro MG996R at 6 V: 1.08 N m, 429 deg/s", 1.08, 0.14, 5.0, 1.0, _pulses(500, 2500, 180, 50)),
-    # 21.5 kg cm, 0.14 s for 60 deg at 6.8 V, dead band 3 us, up to 333 Hz: DSServo's data sheet "DS3218 20KG digital servo".
-    # There is one of 180 deg and one of 270 deg; for the latter write `travel: 270 deg`.
-    "ds3218": _rc("DSServo DS3218 at 6.8 V: 2.11 N m, 429 deg/s", 2.11, 0.14, 3.0, 0.5, _pulses(500, 2500, 180, 333)),
-    # 2.2 kg cm, 0.08 s for 60 deg at 6 V, dead band 5 us, 50 Hz: TowerPro's data sheet "MG90S Metal Gear Servo". The SG90, of
-    # plastic gears, has 1.8 kg cm and 0.1 s at 4.8 V, and pulses of 500 to 2400 us.
-    "mg90s": _rc("TowerPro MG90S at 6 V: 0.216 N m, 750 deg/s", 0.216, 0.08, 5.0, 1.0, _pulses(500, 2400, 180, 50)),
+    # 11 kg cm, 0.14 s for 60 deg at 6 V, dead band 5 us, 50 Hz: TowerPro's data sheet of the MG996R, "High Torque Metal
+    # Gear Dual Ball Bearing Servo". It gives 120 deg for 1 to 2 ms; shops sell it as 180 deg for 500 to 2500 us, and a
+    # copy was measured at 600 to 2300 us. Measure yours.
+    "mg996r": _rc("TowerPro MG996R at 6 V: 1.08 N m, 429 deg/s", 1.08, 0.14, dead_band=5.0, backlash=1.0, rate=50.0),
+    # 21.5 kg cm, 0.14 s for 60 deg at 6.8 V, dead band 3 us, 333 Hz: DSServo's data sheet of the DS3218. There is one
+    # of 180 deg and one of 270 deg; for the latter write `travel: 270 deg`.
+    "ds3218": _rc("DSServo DS3218 at 6.8 V: 2.11 N m, 429 deg/s", 2.11, 0.14, dead_band=3.0, backlash=0.5, rate=333.0),
+    # 2.2 kg cm, 0.08 s for 60 deg at 6 V, dead band 5 us, 50 Hz: TowerPro's data sheet of the MG90S. The SG90, of
+    # plastic gears, has 1.8 kg cm and 0.1 s at 4.8 V, and is sold as 180 deg for 500 to 2400 us.
+    "mg90s": _rc("TowerPro MG90S at 6 V: 0.216 N m, 750 deg/s", 0.216, 0.08, dead_band=5.0, backlash=1.0, rate=50.0),
     # Classes of the MJCF in reachy_mini 1.13.0 (Pollen Robotics): the one that its simulation uses, and the one of the
     # real motor, with the remark "probably wrong, would need to re-identify".
     "perfect_actuator": Preset(

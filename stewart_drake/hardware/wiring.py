@@ -14,13 +14,13 @@ from stewart_drake.robot import RobotParameters
 
 if TYPE_CHECKING:
     from stewart_drake.hardware.motors import MotorOptions
+    from stewart_drake.hardware.presets import Wire
 
 _Way = Literal[-1, 1]
 _Gain = Annotated[float, Field(ge=0.5, le=2.0)]
 _Six = tuple[_Gain, _Gain, _Gain, _Gain, _Gain, _Gain]
 BEYOND = 1e-6  # [rad] by which a stop may be beyond what a servo reaches.
-NO_RATE = 50.0  # [1/s] commands of servos of which nothing is known.
-NO_SPEED = 6.0  # [rad/s] the same.
+RATE, SPEED = 50.0, 6.0  # [1/s], [rad/s] of servos of which nothing is known.
 
 
 class ServoOptions(Section, key="model.servos"):
@@ -50,33 +50,34 @@ class ServoOptions(Section, key="model.servos"):
 
     def wiring(self, robot: RobotParameters, motors: MotorOptions) -> Wiring:
         """The numbers for a robot with such motors; ConfigurationError where one is missing or does not fit."""
-        preset = motors.gear
-        known = {} if preset is None or preset.wiring is None else preset.wiring
-        commands, travel = self.commands or known.get("commands"), self.travel or known.get("travel")
-        for name, value, unit in (("commands", commands, "pulses [us]"), ("travel", travel, "an angle [rad]")):
-            if value is None:
-                allowed = f"{unit} of the servo, or model.motors with a preset that has them, such as mg996r"
-                raise ConfigurationError(f"model.servos.{name}", None, allowed)
-        least, most = commands
-        if not least < most <= 65535:
-            raise ConfigurationError("model.servos.commands", list(commands), "a smaller and a larger one, 0 to 65535")
-        home = inverse_kinematics(robot, robot.home_pose)
-        per_rad = np.array(self.direction) * (most - least) / (travel * np.array(self.gain))
-        zero, middle, half = home + self.offset, 0.5 * (least + most), 0.5 * travel * np.array(self.gain)
-        low, high = np.stack([zero - half, zero + half])
-        for leg, (lowest, highest) in enumerate(robot.crank_angle_ranges):
-            if np.isfinite(lowest) and not low[leg] - BEYOND <= lowest < highest <= high[leg] + BEYOND:
-                allowed = f"within {low[leg]:.4g} to {high[leg]:.4g} rad, what commands {least:g} to {most:g} reach"
-                raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", [float(lowest), float(highest)], allowed)
-        low, high = np.maximum(low, robot.crank_angle_ranges[:, 0]), np.minimum(high, robot.crank_angle_ranges[:, 1])
-        for leg in range(6):
-            if not low[leg] - BEYOND <= home[leg] <= high[leg] + BEYOND:
+        known: Wire | None = getattr(motors.gear, "wiring", None)
+        commands, travel = self.commands or (known and known.commands), self.travel or (known and known.travel)
+        if commands is None or travel is None:
+            allowed = "commands [us] and travel [rad], or model.motors with a preset that has them, such as mg996r"
+            raise ConfigurationError("model.servos", None, allowed)
+        home, (least, most), gain = inverse_kinematics(robot, robot.home_pose), commands, np.array(self.gain)
+        zero, middle, half = home + self.offset, 0.5 * (least + most), 0.5 * travel * gain
+        reach = np.stack([zero - half, zero + half])
+        angles = np.clip(robot.crank_angle_ranges.T, *reach)
+        for leg, (low, high) in enumerate(reach.T):
+            stops = robot.crank_angle_ranges[leg]
+            if np.isfinite(stops).all() and np.abs(stops - angles[:, leg]).max() > BEYOND:
+                allowed = f"within {low:.4g} to {high:.4g} rad, what commands {least:g} to {most:g} reach"
+                raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", stops.tolist(), allowed)
+            if not low - BEYOND <= home[leg] <= high + BEYOND:
                 allowed = f"less: the servo of leg {leg} would not reach its home angle {home[leg]:.4g} rad"
                 raise ConfigurationError("model.servos.offset", list(self.offset), allowed)
-        ends = np.sort(middle + per_rad * (np.stack([low, high]) - zero), axis=0)
+        per_rad = np.array(self.direction) * (most - least) / (travel * gain)
+        ends = np.sort(middle + per_rad * (angles - zero), axis=0)
         within = np.clip(np.stack([np.ceil(ends[0] - BEYOND), np.floor(ends[1] + BEYOND)]), least, most)
-        rate, speed = known.get("rate", NO_RATE), self.speed or getattr(motors, "no_load_speed", None) or NO_SPEED
-        return Wiring(known.get("kind"), middle, zero, per_rad, np.stack([low, high]), within, home, speed, rate)
+        speed = self.speed or getattr(motors, "no_load_speed", None) or SPEED
+        kind, rate = (known.kind, known.rate) if known else (None, RATE)
+        return Wiring(kind, middle, zero, per_rad, angles, within, home, speed, rate)
+
+    def rules(self) -> None:
+        """Two commands, in order."""
+        if self.commands is not None and not self.commands[0] < self.commands[1] <= 65535.0:
+            raise ConfigurationError("commands", list(self.commands), "a smaller and a larger one, 0 to 65535")
 
 
 class Wiring(NamedTuple):

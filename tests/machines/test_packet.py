@@ -217,12 +217,16 @@ def test_c_decides_as_python_does(in_c):
     reading = decode(from_frame(frame.raw[: size - 1]))
     assert reading.flags & (wire.READING | wire.MEASURED) == wire.READING
     assert reading.values.tolist() == list(range(6))
-    pose = CPacket(flags=wire.flags_of("pose", wire.ACTIVE), number=other.last + 1, values=(ctypes.c_float * 6)(*[9.0] * 6))
+    pose = CPacket(
+        flags=wire.flags_of("pose", wire.ACTIVE), number=other.last + 1, values=(ctypes.c_float * 6)(*[9.0] * 6)
+    )
     for takes in (0, 1):
         other.poses = other.measured = takes
         assert in_c.sd_take(ctypes.byref(other), ctypes.byref(pose), ctypes.c_uint64(clock)) == takes
     size = in_c.sd_reading(ctypes.byref(other), (ctypes.c_float * 6)(), ctypes.c_uint64(clock), frame)
-    assert decode(from_frame(frame.raw[: size - 1])).flags == wire.flags_of("angle", wire.READING, wire.MEASURED, wire.ACTIVE)
+    assert decode(from_frame(frame.raw[: size - 1])).flags == wire.flags_of(
+        "angle", wire.READING, wire.MEASURED, wire.ACTIVE
+    )
 
 
 @given(PACKETS)

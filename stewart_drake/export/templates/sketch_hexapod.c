@@ -153,8 +153,8 @@ void hexapod_begin(void)
     side.measured = told > 0;
     side.poses = SERVOS_POSES;
     for (int k = 0; k < 6; k++) {
-        side.low[k] = servos_low[k];
-        side.high[k] = servos_high[k];
+        side.low[k] = (float)servos_low[k] - 1e-6f; /* rounding; pulses have limits of their own */
+        side.high[k] = (float)servos_high[k] + 1e-6f;
         angles[k] = told > 0 ? hexapod_angle(k, commands[k]) : servos_home[k];
     }
 #if SERVOS_POSES

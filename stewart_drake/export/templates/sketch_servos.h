@@ -15,15 +15,15 @@
 #define SERVOS_PROTOCOL @PROTOCOL@ /* of bus servos: 1 Feetech STS, 2 Dynamixel 2.0 */
 #define SERVOS_PERIOD_US @PERIOD@ul
 #define SERVOS_REST_US @REST@ul /* of silence until the cranks move home; 0 for never */
-#define SERVOS_SLOW @SLOW@ /* [rad/s] */
+#define SERVOS_SLOW 0.5 /* [rad/s] of the fastest crank to the first command, and home */
 #define SERVOS_FASTEST @FASTEST@ /* [rad/s] */
 #define SERVOS_MIDDLE @MIDDLE@
 
 static const double servos_zero[6] = {@ZERO@}; /* [rad] */
 static const double servos_per_rad[6] = {@PER_RAD@};
 static const double servos_home[6] = {@HOME@}; /* [rad] */
-static const float servos_low[6] = {@LOW@}; /* [rad] */
-static const float servos_high[6] = {@HIGH@}; /* [rad] */
+static const double servos_low[6] = {@LOW@}; /* [rad] */
+static const double servos_high[6] = {@HIGH@}; /* [rad] */
 static const uint16_t servos_least[6] = {@LEAST@};
 static const uint16_t servos_most[6] = {@MOST@};
 
