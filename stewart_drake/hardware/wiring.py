@@ -66,7 +66,7 @@ class ServoOptions(Section, key="model.servos"):
                 raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", stops.tolist(), allowed)
             if not low - BEYOND <= home[leg] <= high + BEYOND:
                 allowed = f"less: the servo of leg {leg} would not reach its home angle {home[leg]:.4g} rad"
-                raise ConfigurationError("model.servos.offset", list(self.offset), allowed)
+                raise ConfigurationError(f"model.servos.offset[{leg}]", self.offset[leg], allowed)
         per_rad = np.array(self.direction) * (most - least) / (travel * gain)
         ends = np.sort(middle + per_rad * (angles - zero), axis=0)
         within = np.clip(np.stack([np.ceil(ends[0] - BEYOND), np.floor(ends[1] + BEYOND)]), least, most)

@@ -1,5 +1,5 @@
-// Bus servos on a half-duplex line, with an adapter between Serial1 and the bus, set to 1,000,000 baud. Legs 0 to 5 are
-// servos 1 to 6. The servos get their torque with the first command, which is where they are.
+// Bus servos on a half-duplex line, with an adapter without echo between Serial1 and the bus; 1,000,000 baud. Legs 0 to 5
+// are servos 1 to 6. The servos get their torque with the first command, which is where they are.
 #include "board.h"
 #include "bus.h"
 

@@ -98,9 +98,9 @@ int main(int count, char **arguments)
             return perror(arguments[3]), 1;
         }
     }
+    hexapod_begin();
     printf("drive it as serial:%s\n", arguments[1]);
-    fflush(stdout);
-    for (hexapod_begin();; usleep(500)) {
+    for (fflush(stdout);; usleep(500)) {
         hexapod_poll();
     }
 }
