@@ -351,7 +351,7 @@ def test_the_hardware_is_one_short_file(board, tmp_path):
         ({}, "uno", r"--board: expected computer, pca9685, rp2040, sts or dynamixel"),
         ({}, "sts", r"--board: expected computer or pca9685 or rp2040, for servos that take microseconds"),
         ({"model.servos.travel": 1.5}, "pca9685", r"robot.legs.0.crank_angle_range: .* -0\.7.* to 0\.7.* rad"),
-        ({"model.servos.offset": [0, 0, 0, 2, 0, 0], "model.robot": "servo_hexapod"}, "rp2040", r"offset\[3\]: .* leg 3"),
+        ({"model.servos.offset": [0, 0, 0, 2, 0, 0], "model.robot": "servo_hexapod"}, "rp2040", r"offset\[3\]: .* 3 "),
         ({"model.home": [0.1, 0, 0, 0, 0, 0]}, "pca9685", r"model.home: expected zeros: .*model.servos.offset"),
         ({"controller.period": 0.01}, "pca9685", r"controller.period: expected 0.02 to 0.04 s between two commands"),
         ({"model.motors": {"kind": "position"}}, "pca9685", r"model.servos: expected commands .us. and .* mg996r"),
