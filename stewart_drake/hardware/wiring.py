@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, Strict
 
 from stewart_drake.base.config import NotNegative, Positive, Section, SixNumbers, one_for_six
 from stewart_drake.base.errors import ConfigurationError
@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from stewart_drake.hardware.motors import MotorOptions
     from stewart_drake.hardware.presets import Wire
 
-_Way = Literal[-1, 1]
-_Gain = Annotated[float, Field(ge=0.5, le=2.0)]
+_Gain = Annotated[float, Strict(), Field(ge=0.5, le=2.0)]
 _Six = tuple[_Gain, _Gain, _Gain, _Gain, _Gain, _Gain]
 BEYOND = 1e-6  # [rad] by which a stop may be beyond what a servo reaches.
 RATE, SPEED = 50.0, 6.0  # [1/s], [rad/s] of servos of which nothing is known.
@@ -37,7 +36,7 @@ class ServoOptions(Section, key="model.servos"):
     """Smallest and largest command: pulses [us], or counts of a bus servo; null for those of `motors.preset`."""
     travel: Positive | None = None
     """[rad] that a servo turns from the smallest to the largest command; null for that of `motors.preset`."""
-    direction: Annotated[tuple[_Way, _Way, _Way, _Way, _Way, _Way], one_for_six(_Way)] = (1,) * 6
+    direction: SixNumbers = (1.0,) * 6
     """[-] 1 where a larger command turns a crank to larger angles, -1 where to smaller ones."""
     offset: SixNumbers = (0.0,) * 6
     """[rad] trim: angle of a crank beyond its home angle, with the servo in the middle of its travel."""
@@ -75,7 +74,9 @@ class ServoOptions(Section, key="model.servos"):
         return Wiring(kind, middle, zero, per_rad, angles, within, home, speed, rate)
 
     def rules(self) -> None:
-        """Two commands, in order."""
+        """Two commands, in order, and signs."""
+        if not {-1.0, 1.0}.issuperset(self.direction):
+            raise ConfigurationError("direction", list(self.direction), "1 or -1, or a list of 6 of them")
         if self.commands is not None and not self.commands[0] < self.commands[1] <= 65535.0:
             raise ConfigurationError("commands", list(self.commands), "a smaller and a larger one, 0 to 65535")
 

@@ -341,6 +341,21 @@ def test_the_hardware_is_one_short_file(board, tmp_path):
     assert done.returncode == 0, done.stderr[:4000]
 
 
+PRESETS = {"mg996r": "pca9685", "ds3218": "rp2040", "mg90s": "pca9685", "sts3215": "sts", "xl330_m288": "dynamixel"}
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_servos_that_people_buy(preset):
+    changes = {"motors.preset": preset, "model.motors.preset": preset, "model.servos": None}
+    scenario = HOBBY.replace(changes)
+    wiring, motors = wiring_of(scenario, PRESETS[preset]), scenario.motors
+    assert wiring.commands(HOME) == pytest.approx(1500 if wiring.kind == "rc" else 2047.5, abs=1)
+    assert wiring.commands(HOME + 0.5) - wiring.commands(HOME) == pytest.approx(0.5 * wiring.per_rad, abs=1)
+    assert motors.part(ROBOT, 0.001).name == "motors"
+    assert motors.available(ROBOT, np.full(6, motors.no_load_speed)).max() <= 1e-9
+    assert motors.torque_limit / motors.stiffness < 0.6  # [rad] of an error at full torque
+
+
 # --- what does not fit ---
 
 
@@ -352,6 +367,7 @@ def test_the_hardware_is_one_short_file(board, tmp_path):
         ({}, "sts", r"--board: expected computer or pca9685 or rp2040, for servos that take microseconds"),
         ({"model.servos.travel": 1.5}, "pca9685", r"robot.legs.0.crank_angle_range: .* -0\.7.* to 0\.7.* rad"),
         ({"model.servos.offset": [0, 0, 0, 2, 0, 0], "model.robot": "servo_hexapod"}, "rp2040", r"offset\[3\]: .* 3 "),
+        ({"model.servos.direction": 0}, "rp2040", r"model.servos.direction: expected 1 or -1, or a list"),
         ({"model.home": [0.1, 0, 0, 0, 0, 0]}, "pca9685", r"model.home: expected zeros: .*model.servos.offset"),
         ({"controller.period": 0.01}, "pca9685", r"controller.period: expected 0.02 to 0.04 s between two commands"),
         ({"model.motors": {"kind": "position"}}, "pca9685", r"model.servos: expected commands .us. and .* mg996r"),
