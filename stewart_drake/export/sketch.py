@@ -65,7 +65,7 @@ def export_sketch(options: ControlOptions, name: str, folder: Path, board: str) 
     rows = [wiring.zero, wiring.per_rad, wiring.home, *wiring.angles, *wiring.within.astype(int)]
     for word, row in zip(("ZERO", "PER_RAD", "HOME", "LOW", "HIGH", "LEAST", "MOST"), rows, strict=True):
         words[word] = ", ".join(number(value).text for value in row)
-    parts = ("hexapod.c", "board.h", "servos.h", *(("bus.h", "bus.c") if bus else ()))
+    parts = ("hexapod.c", "hexapod.h", "servos.h", *(("bus.h", "bus.c") if bus else ()))
     templates = {part: f"sketch_{part}" for part in parts} | {f"robot_side.{end}": f"robot_side.{end}" for end in "hc"}
     if board == "computer":
         templates |= {"board.c": "sketch_computer.c", "Makefile": "sketch_Makefile"}

@@ -1,5 +1,5 @@
 /* A board for tests: the clock, what arrives, and where the servos are is set from outside. */
-#include "board.h"
+#include "hexapod.h"
 
 #include <string.h>
 

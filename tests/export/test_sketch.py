@@ -231,7 +231,7 @@ def test_the_weight_is_in_the_angles_of_a_pose(tmp_path):
 def test_clean_under_sanitizers(folder, tmp_path):
     place = shutil.copytree(folder, tmp_path / "it")
     (place / "main.c").write_text(
-        '#include "board.h"\n#include <stdlib.h>\nextern uint32_t fake_clock;\nextern uint8_t fake_in[512];\n'
+        '#include "hexapod.h"\n#include <stdlib.h>\nextern uint32_t fake_clock;\nextern uint8_t fake_in[512];\n'
         "extern unsigned fake_arrived, fake_read;\nint main(void)\n{\n    hexapod_begin();\n"
         "    for (int n = 0; n < 20000; n++) {\n        fake_arrived = (unsigned)(rand() % 512), fake_read = 0;\n"
         "        for (unsigned k = 0; k < fake_arrived; k++) {\n            fake_in[k] = (uint8_t)rand();\n        }\n"

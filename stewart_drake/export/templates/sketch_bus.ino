@@ -1,6 +1,6 @@
 // Bus servos on a half-duplex line, with an adapter without echo between Serial1 and the bus; 1,000,000 baud. Legs 0 to 5
 // are servos 1 to 6. The servos get their torque with the first command, which is where they are.
-#include "board.h"
+#include "hexapod.h"
 #include "bus.h"
 
 static uint8_t bytes[BUS_LARGEST];

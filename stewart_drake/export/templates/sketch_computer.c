@@ -2,7 +2,7 @@
    [us] and commands are written to the file PULSES, a row a tick. The servos cannot tell their angles; with a PORT they are
    those of a robot simulated there, `python -P -m stewart_drake.machines.simulated`, and tell them. */
 #define _GNU_SOURCE
-#include "board.h"
+#include "hexapod.h"
 #include "robot_side.h"
 
 #include <arpa/inet.h>

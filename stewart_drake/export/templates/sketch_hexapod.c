@@ -9,7 +9,7 @@
    Silence: 0.1 s after the last active packet the robot holds. SERVOS_REST_US after the last packet of any kind it moves home
    at SERVOS_SLOW, and holds there. The servos keep their pulses.
    Limits: packets with an angle outside of them are not accepted, and no command is ever outside of them. */
-#include "board.h"
+#include "hexapod.h"
 #include "robot_side.h"
 #include "servos.h"
 

@@ -1,7 +1,7 @@
 // A PCA9685 on I2C, for any Arduino board: ESP32, Uno, Nano, Teensy, Pico. Legs 0 to 5 are channels 0 to 5.
 // The chip's clock is off by some per cent, and all pulses with it: measure one, and correct CLOCK.
 #include <Wire.h>
-#include "board.h"
+#include "hexapod.h"
 
 static const uint8_t ADDRESS = 0x40;
 static const float CLOCK = 25.0f;  // [MHz]

@@ -3,7 +3,7 @@
 #include <hardware/gpio.h>
 #include <hardware/pwm.h>
 
-#include "board.h"
+#include "hexapod.h"
 
 static const unsigned FIRST = 2;
 

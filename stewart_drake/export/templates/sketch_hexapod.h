@@ -1,6 +1,6 @@
 /* What a board has to do for the loop in hexapod.c. A file of some 40 lines; everything else is the same anywhere. */
-#ifndef BOARD_H
-#define BOARD_H
+#ifndef HEXAPOD_H
+#define HEXAPOD_H
 
 #include <stdint.h>
 
