@@ -1,7 +1,7 @@
-"""Sizes and instructions of exported controllers on a Cortex-M7, by a cross compiler and QEMU.
+"""Sizes and instructions of exported controllers on a Cortex-M7 and a Cortex-M0+, by a cross compiler and QEMU.
 
 Needs Debian's gcc-arm-none-eabi and qemu-system-arm. Half a minute: `python docs/scripts/export_bench.py`
-writes the table of docs/export.md.
+writes the tables of docs/export.md.
 """
 
 from __future__ import annotations
@@ -13,15 +13,27 @@ from pathlib import Path
 from typing import NamedTuple
 
 from stewart_drake.export.controller_c import c_name, export_controller
-from stewart_drake.scenario.scenario import load_scenario
+from stewart_drake.scenario.scenario import load_driven
 
 HERE = Path(__file__).parent
 PAGE = HERE.parent / "export.md"
 BEGIN, END = "<!-- export_bench.py -->\n", "<!-- end -->\n"
 SCENARIOS = ("reachy_nod", "reachy_look_around", "exact_breathing", "hold", "exact_fig7", "paper_fig7")
-FLAGS = "-std=gnu99 -O3 -mcpu=cortex-m7 -mthumb -mfloat-abi=hard -mfpu=fpv5-d16 -ffp-contract=off -Wall -Wextra -Werror"
-MACHINE = "qemu-system-arm -M mps2-an500 -nographic -icount shift=0 -semihosting -kernel bench.elf"
-CLOCK = 480e6  # [Hz] of an STM32H7.
+RC_SERVOS = "model.motors={kind: position, preset: mg996r, delay: 0.02}"
+
+
+class Processor(NamedTuple):
+    """A processor that QEMU emulates."""
+
+    flags: str
+    machine: str
+    clock: float  # [Hz]
+
+
+M7 = Processor("-O3 -mcpu=cortex-m7 -mfloat-abi=hard -mfpu=fpv5-d16", "mps2-an500", 480e6)  # an STM32H7
+M0 = Processor("-O2 -mcpu=cortex-m0plus -mfloat-abi=soft", "mps2-an385", 133e6)  # an RP2040
+FLAGS = "-std=gnu99 -mthumb -ffp-contract=off -Wall -Wextra -Werror"
+MACHINE = "qemu-system-arm -nographic -icount shift=0 -semihosting -kernel bench.elf -M"
 
 
 class Measured(NamedTuple):
@@ -34,9 +46,9 @@ class Measured(NamedTuple):
     most: int
 
 
-def measure(name: str) -> Measured:
+def measure(name: str, on: Processor = M7, overrides: tuple[str, ...] = ()) -> Measured:
     """A scenario's controller, exported, compiled and run along its reference."""
-    options, own = load_scenario(name), c_name(name)
+    options, own, flags = load_driven(name, overrides), c_name(name), f"{FLAGS} {on.flags}"
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
 
@@ -58,28 +70,36 @@ def measure(name: str) -> Measured:
             f"static const double rows[][{reading + reference + 7}] = {{\n{table}}};\n",
             encoding="utf-8",
         )
-        run(f"arm-none-eabi-gcc {FLAGS} -c {own}.c")
+        run(f"arm-none-eabi-gcc {flags} -c {own}.c")
         text, data, bss = map(int, run(f"arm-none-eabi-size {own}.o").splitlines()[1].split()[:3])
         bench = f"-DNAME={own} -DHEADER={own}.h -I. -nostartfiles -T {HERE}/export_bench.ld {HERE}/export_bench.c"
-        run(f"arm-none-eabi-gcc {FLAGS} {bench} {own}.o -o bench.elf -lm -lc -lgcc")
-        mean, most = map(int, run(MACHINE).split())
+        run(f"arm-none-eabi-gcc {flags} {bench} {own}.o -o bench.elf -lm -lc -lgcc")
+        mean, most = map(int, run(f"{MACHINE} {on.machine}").split())
         memory = data + bss + 8 * int(re.findall(r"memory\[(\d+)\]", header)[0])
         return Measured(options.reading_period, text, memory, mean, most)
 
 
-def main() -> None:
-    """Writes the table."""
-    header = "scenario", "steps a second", "code and constants", "memory", "instructions, mean", "largest", "at 480 MHz"
-    rows = [header, ("---",) * len(header)]
-    for name in SCENARIOS:
-        each = measure(name)
+def table(rows: dict[str, Measured], clock: float) -> str:
+    """Rows by their names, as Markdown."""
+    header = "scenario", "steps a second", "code and constants", "memory", "instructions, mean", "largest"
+    lines = [(*header, f"at {clock / 1e6:g} MHz"), ("---",) * 7]
+    for name, each in rows.items():
         sizes = [f"{size / 1024:.1f} KB" for size in (each.text, each.memory)]
-        counts = f"{each.mean:,}", f"{each.most:,}", f"{1e6 * each.most / CLOCK:.0f} us"
-        rows.append((f"`{name}`", f"{1.0 / each.period:g}", *sizes, *counts))
-    table = "".join(f"| {' | '.join(row)} |\n" for row in rows)
-    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
-    PAGE.write_text(before + BEGIN + table + END + rest.partition(END)[2])
-    print(table)
+        counts = f"{each.mean:,}", f"{each.most:,}", f"{1e6 * each.most / clock:.0f} us"
+        lines.append((name, f"{1.0 / each.period:g}", *sizes, *counts))
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def main() -> None:
+    """Writes the tables."""
+    boards = {
+        "`hobby_servos`": measure("hobby_servos", M0),
+        "the same with RC servos": measure("hobby_servos", M0, (RC_SERVOS,)),
+    }
+    tables = table({f"`{name}`": measure(name) for name in SCENARIOS}, M7.clock), table(boards, M0.clock)
+    before, first, between, second, rest = re.split(rf"(?s)({BEGIN}).*?{END}", PAGE.read_text(encoding="utf-8"))
+    PAGE.write_text(f"{before}{first}{tables[0]}{END}{between}{second}{tables[1]}{END}{rest}")
+    print("\n".join(tables))
 
 
 if __name__ == "__main__":

@@ -110,26 +110,58 @@ def _print_plan(loaded: Scenario, url: str, machine: Machine, start: Start) -> N
     "export",
     c=opt.option("Folder for the controller as C99.", opt.OUT_FOLDER, "--c"),
     fmu=opt.option("Folder for controller and robot as FMI 3.0 units.", opt.OUT_FOLDER, "--fmu"),
+    sketch=opt.option("Folder for the program of a board with six hobby servos.", opt.OUT_FOLDER, "--sketch"),
+    board=opt.option(
+        "Board of the sketch: computer, pca9685, rp2040, sts or dynamixel; computer needs no hardware.",
+        default="computer",
+    ),
 )
-def export(scenario: str, c: Path | None, fmu: Path | None, overrides: tuple[str, ...], trust_code: bool) -> None:
+def export(
+    scenario: str,
+    c: Path | None,
+    fmu: Path | None,
+    sketch: Path | None,
+    board: str,
+    overrides: tuple[str, ...],
+    trust_code: bool,
+) -> None:
     """SCENARIO, or a file of a controller alone, becomes a header and a source of C99 that needs only math.h.
 
     The folder also has the reference as a table, a replay with which `make check` compares commands, and an example for
     a microcontroller. Code that cannot be translated, such as a controller of yours in Python, is refused with file and
     line. Units for co-simulation have the same source, and the closed form of the robot; they are compiled if there is
-    a cc.
+    a cc. A sketch turns angles, or poses, from a serial line into pulses of servos: docs/hobby_hexapod.md.
     """
     from stewart_drake.export.controller_c import export_controller
     from stewart_drake.export.fmu import write_units
+    from stewart_drake.export.sketch import export_sketch
 
-    if c is None and fmu is None:
-        raise click.UsageError("export needs a folder, --c or --fmu")
+    if c is None and fmu is None and sketch is None:
+        raise click.UsageError("export needs a folder, --c, --fmu or --sketch")
     loaded = load_driven(scenario, overrides, trust_code)
     with shown_compiling():
         written = [] if c is None else export_controller(loaded, loaded.name, c)
         written += [] if fmu is None else write_units(loaded, loaded.name, fmu)
+        written += [] if sketch is None else export_sketch(loaded, loaded.name, sketch, board)
     print_table(loaded.name, [(str(path), f"{path.stat().st_size / 1024.0:.0f} KB") for path in written])
     if c is not None:
         if c / "board.c" not in written:
             print_line("no board.c: the controller needs a pose, but packets have angles; use --set sensors=encoders")
         print_line(f"try: make -C {c} check")
+    if sketch is not None:
+        _print_servos(loaded, sketch, board)
+
+
+def _print_servos(loaded: Scenario, sketch: Path, board: str) -> None:
+    """Prints what each servo is sent, and what comes next."""
+    from stewart_drake.export.sketch import MEANS, angles_only, wiring_of
+
+    wiring = wiring_of(loaded, board)
+    rows = [
+        (f"leg {leg}", f"{wiring.commands(wiring.home)[leg]:.0f} at home, {least:.0f} to {most:.0f}")
+        for leg, (least, most) in enumerate(wiring.within.T)
+    ]
+    print_table(f"servos, {MEANS[wiring.kind or 'rc']}", rows)
+    if (why := angles_only(loaded)) is not None:
+        print_line(f"the board takes angles and no poses: {why}")
+    print_line(f"try: make -C {sketch}" if board == "computer" else f"open {sketch} in Arduino's tools")

@@ -33,8 +33,8 @@ def c_name(name: str) -> str:
     return name if name[:1].isalpha() else f"robot_{name}"
 
 
-def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
-    """The files of a folder by their names; `name` is that of the controller.
+def controller_files(options: ControlOptions, name: str, prefix: str = "") -> dict[str, str]:
+    """The files of a folder by their names; `name` is that of the scenario, `prefix` by default the same as one of C.
 
     Raises:
         ConfigurationError: A part that cannot be printed, with file and line; as `Controller`.
@@ -47,7 +47,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
     if isinstance(options.controller, PythonOptions):
         allowed = "a kind with compiled laws, see docs/export.md; a class or function of Python is not printed"
         raise ConfigurationError(options.controller.code_key, options.controller.code, allowed)
-    prefix, side, age = c_name(name), control_side(options, split=True), np.zeros(1)
+    prefix, side, age = prefix or c_name(name), control_side(options, split=True), np.zeros(1)
     parts = controller_parts(options, side, age)
     outside = {"time": 1, side.reading: side.context.reading, **{source.signal: source.size for source in side.sources}}
     loop = LoopSource(parts, outside, {}, side.context.period, options.reading_period, {"age": age})

@@ -8,20 +8,42 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.families import Table
 
 
 class Preset(NamedTuple):
-    """A motor: keys for the kinds `position` and `current`, and friction of its gear."""
+    """A motor: keys for the kinds `position` and `current`, friction of its gear, and how it is commanded."""
 
     about: str
     coulomb: float = 0.0  # [N m].
     viscous: float = 0.0  # [N m s/rad].
     position: Mapping[str, object] | None = None
     current: Mapping[str, object] | None = None
+    wiring: Wire | None = None
+
+
+class Wire(NamedTuple):
+    """What a servo is sent, see `ServoOptions`. Six bus servos at 1,000,000 baud take 100 commands a second."""
+
+    kind: Literal["rc", "sts", "dynamixel"]  # Pulses, or whose bus.
+    commands: tuple[float, float] = (0.0, 4095.0)  # Pulses [us], or counts of a bus servo.
+    travel: float = 2.0 * math.pi * 4095.0 / 4096.0  # [rad] from one to the other.
+    rate: float = 100.0  # [1/s] most commands.
+
+
+def _rc(about: str, torque: float, seconds: float, dead_band: float, backlash: float, rate: float) -> Preset:
+    """An RC servo of a stall torque [N m] and a time [s] for 60 deg, with a dead band [us]; 180 deg for 2000 us.
+
+    Full torque at an error of 4 deg, friction of 3 % of it, and play [deg] are estimates for all of them.
+    """
+    speed = math.radians(60.0) / seconds
+    numbers = {"stiffness": torque / math.radians(4.0), "damping": torque / speed, "torque_limit": torque}
+    numbers |= {"no_load_speed": speed, "backlash": math.radians(backlash), "dead_band": dead_band * math.pi / 2000.0}
+    wire = Wire("rc", (500.0, 2500.0), math.pi, rate)
+    return Preset(about, coulomb=0.03 * torque, position={**numbers, "resolution_bits": None}, wiring=wire)
 
 
 PRESETS = {
@@ -35,6 +57,7 @@ PRESETS = {
         position={"stiffness": 1.0, "damping": 0.04, "torque_limit": 0.52, "no_load_speed": math.radians(618.0)},
         current={"torque_constant": 0.52 / 1.47, "current_limit": 1.47, "resolution": 0.001}
         | {"no_load_speed": math.radians(618.0)},
+        wiring=Wire("dynamixel"),
     ),
     # 30 kg cm and 45 rev/min at 12 V, 12 bits: Feetech's data sheet of the STS3215-C018 (gear 1:345). Stiffness,
     # damping and friction: class sts3215_345 of the MJCF in reachy_mini 1.13.0, which reports good simulations of a
@@ -47,6 +70,7 @@ PRESETS = {
         coulomb=0.068,
         position={"stiffness": 27.7, "damping": 0.56, "torque_limit": 2.94, "no_load_speed": math.radians(270.0)}
         | {"backlash": math.radians(0.87)},
+        wiring=Wire("sts"),
     ),
     # 20 kg cm and 0.16 s for 60 deg at 6.8 V, dead band 3 us of 2000 us for 180 deg: data sheets of 20 kg cm servos
     # such as the DS3218. Full torque at an error of 4 deg, friction of 3 % of it and half a degree of play: estimates.
@@ -55,7 +79,18 @@ PRESETS = {
         coulomb=0.06,
         position={"stiffness": 28.0, "damping": 0.3, "torque_limit": 1.96, "no_load_speed": math.radians(375.0)}
         | {"resolution_bits": None, "dead_band": math.radians(0.27), "backlash": math.radians(0.5)},
+        wiring=Wire("rc", (500.0, 2500.0), math.pi, 50.0),
     ),
+    # 11 kg cm, 0.14 s for 60 deg at 6 V, dead band 5 us, 50 Hz: TowerPro's data sheet of the MG996R, "High Torque Metal
+    # Gear Dual Ball Bearing Servo". It gives 120 deg for 1 to 2 ms; shops sell it as 180 deg for 500 to 2500 us, and a
+    # copy was measured at 600 to 2300 us. Measure yours.
+    "mg996r": _rc("TowerPro MG996R at 6 V: 1.08 N m, 429 deg/s", 1.08, 0.14, dead_band=5.0, backlash=1.0, rate=50.0),
+    # 21.5 kg cm, 0.14 s for 60 deg at 6.8 V, dead band 3 us, 333 Hz: DSServo's data sheet of the DS3218. There is one
+    # of 180 deg and one of 270 deg; for the latter write `travel: 270 deg`.
+    "ds3218": _rc("DSServo DS3218 at 6.8 V: 2.11 N m, 429 deg/s", 2.11, 0.14, dead_band=3.0, backlash=0.5, rate=333.0),
+    # 2.2 kg cm, 0.08 s for 60 deg at 6 V, dead band 5 us, 50 Hz: TowerPro's data sheet of the MG90S. The SG90, of
+    # plastic gears, has 1.8 kg cm and 0.1 s at 4.8 V, and is sold as 180 deg for 500 to 2400 us.
+    "mg90s": _rc("TowerPro MG90S at 6 V: 0.216 N m, 750 deg/s", 0.216, 0.08, dead_band=5.0, backlash=1.0, rate=50.0),
     # Classes of the MJCF in reachy_mini 1.13.0 (Pollen Robotics): the one that its simulation uses, and the one of the
     # real motor, with the remark "probably wrong, would need to re-identify".
     "perfect_actuator": Preset(

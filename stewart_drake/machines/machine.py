@@ -175,7 +175,10 @@ def check_takes(scenario: Scenario, takes: str, who: str) -> None:
 def command_limits(scenario: Scenario) -> np.ndarray:
     """(2, 6) lowest and highest commands in the motors' unit; angles count from the machine's zero, see `Homed`."""
     belief = scenario.controller_model
-    return belief.motors.command_limits(belief.robot) - belief.motors.holds * np.array(belief.home)
+    limits = belief.motors.command_limits(belief.robot)
+    if belief.servos is not None and belief.motors.holds:
+        limits = belief.servos.wiring(belief.robot, belief.motors).angles
+    return limits - belief.motors.holds * np.array(belief.home)
 
 
 def within_limits(values: np.ndarray, limits: np.ndarray, name: str) -> np.ndarray:

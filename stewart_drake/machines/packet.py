@@ -16,8 +16,9 @@ READING, ACTIVE, MEASURED = 1, 2, 16
 """Bits of `flags`. READING: from the machine; clear in a command. ACTIVE: in a command, follow these values, clear to
 hold and to be sent readings; in a reading, commands are followed, clear while it holds. MEASURED: in a reading, the
 angles are measured; clear where they are the last command."""
-TAKES = ("angle", "torque", "current")
-"""What commands are, by bits 2 and 3 of `flags`: 0 angle [rad], 1 torque [N m], 2 current [A]."""
+TAKES = ("angle", "torque", "current", "pose")
+"""What commands are, by bits 2 and 3 of `flags`: 0 angle [rad], 1 torque [N m], 2 current [A], 3 pose of the platform
+[rad, m]: motors take the first three, and a board that computes the angles by itself the last one too."""
 HOLD_AFTER = 0.1  # [s] Longest time without an active command until a machine holds.
 QUIET_AFTER = 1.0
 """[s] without any command until a machine sends no more readings, and accepts a new peer."""
@@ -73,7 +74,7 @@ def decode(data: bytes) -> Packet | None:
     if len(data) != SIZE or crc32(data[: _BODY.size]) != _CHECK.unpack_from(data, _BODY.size)[0]:
         return None
     magic, version, flags, number, answers, microseconds, *values = _BODY.unpack_from(data)
-    if magic != MAGIC or version != VERSION or flags & 0xE0 or flags >> 2 & 3 == 3:
+    if magic != MAGIC or version != VERSION or flags & 0xE0:
         return None
     numbers = np.array(values)
     return Packet(flags, number, answers, microseconds, numbers) if np.isfinite(numbers).all() else None

@@ -32,6 +32,7 @@ from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.control.tuners import PaperTuner, Tuner
 from stewart_drake.hardware.motors import MotorOptions, TorqueMotors
+from stewart_drake.hardware.wiring import ServoOptions
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.references import AnyReference, RecordedReference, SineReference
 from stewart_drake.robot import RobotParameters
@@ -67,6 +68,8 @@ class ModelOptions(Section, key="model"):
     home: Vector6 | None = None
     """[rad] angles of the cranks at which a real machine reads zero; null for zeros. `drive --dry` measures them with
     the robot in its home pose."""
+    servos: ServoOptions | None = None
+    """Hobby servos on a board, which `export --sketch` writes: how an angle becomes a pulse; null for the preset's."""
 
 
 class Model(NamedTuple):
@@ -81,6 +84,7 @@ class Model(NamedTuple):
     motors: MotorOptions
     reading_age: float = 0.0  # [s].
     home: tuple[float, ...] = (0.0,) * 6  # [rad] of the cranks where a machine reads zero.
+    servos: ServoOptions | None = None
 
     @property
     def reading_size(self) -> int:

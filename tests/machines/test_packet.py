@@ -17,7 +17,7 @@ from stewart_drake.machines import packet as wire
 from stewart_drake.machines.packet import Packet, decode, encode, from_frame, rounded_inside, split_frames, to_frame
 from stewart_drake.machines.simulated import RobotSide
 
-FLAGS = st.sampled_from([bits | takes << 2 for bits in (0, 1, 2, 3, 16, 19) for takes in (0, 1, 2)])
+FLAGS = st.sampled_from([bits | takes << 2 for bits in (0, 1, 2, 3, 16, 19) for takes in (0, 1, 2, 3)])
 VALUES = st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False), min_size=6, max_size=6)
 PACKETS = st.builds(
     Packet, FLAGS, st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1), st.integers(0, 2**64 - 1), VALUES.map(np.array)
@@ -146,8 +146,9 @@ class CPacket(ctypes.Structure):
 
 class CSide(ctypes.Structure):
     _fields_ = [
-        ("takes", ctypes.c_uint8), ("low", ctypes.c_float * 6), ("high", ctypes.c_float * 6),
-        ("values", ctypes.c_float * 6), ("following", ctypes.c_uint8), ("heard", ctypes.c_uint8),
+        ("takes", ctypes.c_uint8), ("poses", ctypes.c_uint8), ("measured", ctypes.c_uint8),
+        ("low", ctypes.c_float * 6), ("high", ctypes.c_float * 6), ("values", ctypes.c_float * 6),
+        ("kind", ctypes.c_uint8), ("following", ctypes.c_uint8), ("heard", ctypes.c_uint8),
         ("last", ctypes.c_uint32), ("number", ctypes.c_uint32), ("heard_us", ctypes.c_uint64),
         ("active_us", ctypes.c_uint64),
     ]  # fmt: skip
@@ -160,7 +161,8 @@ def in_c(tmp_path_factory):
         pytest.skip("needs a C compiler")
     library = tmp_path_factory.mktemp("c") / "robot_side.so"
     warned = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-std=c99"]
-    subprocess.run([compiler, *warned, "-shared", "-fPIC", ROOT / "docs" / "robot_side.c", "-o", library], check=True)
+    source = ROOT / "stewart_drake" / "export" / "templates" / "robot_side.c"
+    subprocess.run([compiler, *warned, "-shared", "-fPIC", source, "-o", library], check=True)
     loaded = ctypes.CDLL(str(library))
     for name in ("sd_to_frame", "sd_from_frame", "sd_reading"):
         getattr(loaded, name).restype = ctypes.c_size_t
@@ -196,7 +198,7 @@ def test_c_decides_as_python_does(in_c):
     for k in range(3000):
         clock += chance.choice([1000, 1000, 1000, 90_000, 120_000, 1_100_000]) + chance.randint(1, 99)
         numbers = np.array([chance.uniform(-1.0, 0.501) for _ in range(6)])
-        data = encode(Packet(chance.choice([2, 2, 2, 0, 6, 3]), k + chance.randint(-2, 2), 0, 0, numbers))
+        data = encode(Packet(chance.choice([2, 2, 2, 0, 6, 3, 14]), k + chance.randint(-2, 2), 0, 0, numbers))
         data = mutated(data, chance) if chance.random() < 0.3 else data
         packet = c_decode(in_c, data)
         assert (packet is None) == (decode(data) is None)
@@ -213,8 +215,18 @@ def test_c_decides_as_python_does(in_c):
     frame = ctypes.create_string_buffer(wire.LONGEST_FRAME)
     size = in_c.sd_reading(ctypes.byref(other), (ctypes.c_float * 6)(*range(6)), ctypes.c_uint64(clock), frame)
     reading = decode(from_frame(frame.raw[: size - 1]))
-    assert reading.flags & wire.READING
+    assert reading.flags & (wire.READING | wire.MEASURED) == wire.READING
     assert reading.values.tolist() == list(range(6))
+    pose = CPacket(
+        flags=wire.flags_of("pose", wire.ACTIVE), number=other.last + 1, values=(ctypes.c_float * 6)(*[9.0] * 6)
+    )
+    for takes in (0, 1):
+        other.poses = other.measured = takes
+        assert in_c.sd_take(ctypes.byref(other), ctypes.byref(pose), ctypes.c_uint64(clock)) == takes
+    size = in_c.sd_reading(ctypes.byref(other), (ctypes.c_float * 6)(), ctypes.c_uint64(clock), frame)
+    assert decode(from_frame(frame.raw[: size - 1])).flags == wire.flags_of(
+        "angle", wire.READING, wire.MEASURED, wire.ACTIVE
+    )
 
 
 @given(PACKETS)

@@ -1,36 +1,7 @@
-/* The robot's side of docs/wire.md for a microcontroller: C99, nothing but memcpy of the C library, no memory of its own.
+/* See robot_side.h. */
+#include "robot_side.h"
 
-   In each tick of your loop:
-     for every whole frame from the line:  n = sd_from_frame(frame, length, bytes);
-                                           if (sd_decode(bytes, n, &packet)) sd_take(&side, &packet, now_us);
-     if (sd_holds(&side, now_us))          hold: keep the last angle, or brake;    else follow side.values;
-     if (sd_asked(&side, now_us))          sd_reading(&side, angles, now_us, frame), and send what it returns. */
-#include <stdint.h>
 #include <string.h>
-
-#define SD_SIZE 48u               /* bytes of a packet */
-#define SD_FRAME (SD_SIZE + 2u)   /* bytes of a frame, with its zero */
-#define SD_READING 1u
-#define SD_ACTIVE 2u
-#define SD_MEASURED 16u
-#define SD_HOLD_AFTER 100000u     /* us */
-#define SD_QUIET_AFTER 1000000u   /* us */
-
-typedef struct {
-    uint8_t flags;
-    uint32_t number, answers;
-    uint64_t microseconds;
-    float values[6];
-} sd_packet;
-
-typedef struct {
-    uint8_t takes;                /* yours: 0 angle [rad], 1 torque [N m], 2 current [A] */
-    float low[6], high[6];        /* yours: limits of a command */
-    float values[6];              /* the command to follow */
-    uint8_t following, heard;     /* these, and the rest, begin at zero */
-    uint32_t last, number;
-    uint64_t heard_us, active_us;
-} sd_side;
 
 static void put(uint8_t *at, uint64_t value, unsigned bytes) {
     for (unsigned k = 0; k < bytes; k++) at[k] = (uint8_t)(value >> (8u * k));
@@ -64,12 +35,11 @@ void sd_encode(const sd_packet *packet, uint8_t out[SD_SIZE]) {
     put(out + 44, sd_crc32(out, 44), 4);
 }
 
-/* Whether the bytes are a packet; what is none leaves *packet as it was. */
 int sd_decode(const uint8_t *data, size_t size, sd_packet *packet) {
     sd_packet read;
     if (size != SD_SIZE || get(data + 44, 4) != sd_crc32(data, 44)) return 0;
     if (data[0] != 'S' || data[1] != 'D' || data[2] != 1) return 0;
-    if ((data[3] & 0xE0u) || ((data[3] >> 2) & 3u) == 3u) return 0;
+    if (data[3] & 0xE0u) return 0;
     read.flags = data[3];
     read.number = (uint32_t)get(data + 4, 4);
     read.answers = (uint32_t)get(data + 8, 4);
@@ -83,7 +53,6 @@ int sd_decode(const uint8_t *data, size_t size, sd_packet *packet) {
     return 1;
 }
 
-/* COBS. out has room for size + 2 bytes, size <= 254; returns how many are used. */
 size_t sd_to_frame(const uint8_t *data, size_t size, uint8_t *out) {
     size_t code = 0, used = 1;
     for (size_t k = 0; k < size; k++) {
@@ -96,7 +65,6 @@ size_t sd_to_frame(const uint8_t *data, size_t size, uint8_t *out) {
     return used;
 }
 
-/* A frame of at most SD_FRAME bytes without its last zero; returns how many bytes are in out, 0 where it is none. */
 size_t sd_from_frame(const uint8_t *frame, size_t size, uint8_t out[SD_FRAME]) {
     size_t used = 0, at = 0;
     if (size >= SD_FRAME) return 0;
@@ -110,16 +78,16 @@ size_t sd_from_frame(const uint8_t *frame, size_t size, uint8_t out[SD_FRAME]) {
     return used;
 }
 
-/* Whether a packet is accepted; an active one is followed from now on, an inactive one says to hold. */
 int sd_take(sd_side *side, const sd_packet *packet, uint64_t now_us) {
     int quiet = !side->heard || now_us - side->heard_us > SD_QUIET_AFTER, active = (packet->flags & SD_ACTIVE) != 0;
     uint32_t ahead = packet->number - side->last;
-    if ((packet->flags & SD_READING) || (active && ((packet->flags >> 2) & 3u) != side->takes)) return 0;
+    uint8_t kind = (packet->flags >> 2) & 3u, pose = kind == SD_POSE;
+    if ((packet->flags & SD_READING) || (active && (pose ? !side->poses : kind != side->takes))) return 0;
     if (!quiet && (ahead == 0 || ahead >= 0x80000000u)) return 0;
     for (int k = 0; k < 6; k++)
-        if (active && !(packet->values[k] >= side->low[k] && packet->values[k] <= side->high[k])) return 0;
+        if (active && !pose && !(packet->values[k] >= side->low[k] && packet->values[k] <= side->high[k])) return 0;
     side->heard = 1, side->heard_us = now_us, side->last = packet->number, side->following = (uint8_t)active;
-    if (active) side->active_us = now_us, memcpy(side->values, packet->values, sizeof side->values);
+    if (active) side->active_us = now_us, side->kind = kind, memcpy(side->values, packet->values, sizeof side->values);
     return 1;
 }
 
@@ -131,11 +99,12 @@ int sd_asked(const sd_side *side, uint64_t now_us) {
     return side->heard && now_us - side->heard_us <= SD_QUIET_AFTER;
 }
 
-/* A frame with six angles [rad] that were measured; returns how many of its bytes are to be sent. */
 size_t sd_reading(sd_side *side, const float angles[6], uint64_t now_us, uint8_t frame[SD_FRAME]) {
     uint8_t bytes[SD_SIZE];
     sd_packet packet;
-    packet.flags = (uint8_t)(SD_READING | SD_MEASURED | (side->takes << 2) | (sd_holds(side, now_us) ? 0u : SD_ACTIVE));
+    packet.flags = (uint8_t)(SD_READING | (side->takes << 2));
+    if (side->measured) packet.flags |= SD_MEASURED;
+    if (!sd_holds(side, now_us)) packet.flags |= SD_ACTIVE;
     packet.number = ++side->number;
     packet.answers = side->last;
     packet.microseconds = now_us;
