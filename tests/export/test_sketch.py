@@ -3,6 +3,7 @@
 import ctypes
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -311,19 +312,29 @@ def test_packets_of_dynamixel(tmp_path):
 # --- compilers of boards ---
 
 
+# Processors of an RP2040, an ESP32-C3 and an Uno. The compiler of older ESP32, xtensa-esp32-elf-gcc, is in no package.
+PROCESSORS = {
+    "cortex-m0+, gcc": ("arm-none-eabi-gcc", "-mcpu=cortex-m0plus", "-mthumb"),
+    "cortex-m0+, clang": ("ziglang", "-target", "thumb-linux-musleabi", "-mcpu=cortex_m0plus"),
+    "riscv32, clang": ("ziglang", "-target", "riscv32-linux-musl"),
+    "atmega328p, gcc": ("avr-gcc", "-mmcu=atmega328p"),
+}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("cc", "flags"),
-    [("arm-none-eabi-gcc", ("-mcpu=cortex-m0plus", "-mthumb")), ("avr-gcc", ("-mmcu=atmega328p",))],
-)
-def test_it_compiles_for_boards(cc, flags, tmp_path):
-    """An ESP32's compiler, xtensa-esp32-elf-gcc, is not in Debian."""
-    compiler(cc)
+@pytest.mark.parametrize("processor", PROCESSORS)
+def test_it_compiles_for_boards(processor, tmp_path):
+    name, *flags = PROCESSORS[processor]
+    if name == "ziglang":
+        pytest.importorskip(name)
+        cc = [sys.executable, "-m", name, "cc"]
+    else:
+        cc = [compiler(name)]
     for board, preset in (("pca9685", "mg996r"), ("sts", "sts3215"), ("dynamixel", "xl330_m288")):
         changes = {"motors.preset": preset, "model.motors.preset": preset, "model.servos": {}}
         export_sketch(HOBBY.replace(changes), "hobby", tmp_path / board, board)
         rc = ["hexapod.c", "pose.c", "robot_side.c"]
-        command = [cc, *STRICT, *flags, "-Os", "-c", *(rc if board == "pca9685" else ["bus.c", "hexapod.c"])]
+        command = [*cc, *STRICT, *flags, "-Os", "-c", *(rc if board == "pca9685" else ["bus.c", "hexapod.c"])]
         done = subprocess.run(command, cwd=tmp_path / board, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr[:4000]
 
