@@ -207,6 +207,11 @@ OPTIONS: dict[str, Settings] = {
     "encoder_bits": option("Encoder resolution, bits per turn.", click.IntRange(4, 40), default=17),
     "force": switch("Replace the results of another scenario in the folder."),
     "hold": option("Do not estimate these parameters.", multiple=True),
+    "home": option(
+        "Home: where cranks are level, or perpendicular to the rods (perpendicular), or its height.",
+        default="level",
+        metavar="[level|perpendicular|HEIGHT]",
+    ),
     "keep_model": option("Start with the `model` in FILE, if it exists, and save the learnt one there.", OUT_FILE),
     "lag": option("Delay of the torques in a CSV file [s].", SECONDS, "--torque-lag", default=0.0),
     "out": option("Folder for results [default: runs/NAME].", PATH),

@@ -6,18 +6,19 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import click
 
-from stewart_drake.base.yaml_files import parse_changes, to_yaml
+from stewart_drake.base.atomic_files import Document
+from stewart_drake.base.yaml_files import parse_changes, parse_yaml, to_yaml
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_error, print_line, print_table, progress_bar, working
 from stewart_drake.estimation import geometry, servos, torques
 from stewart_drake.hardware.servos import POSITION_PRESETS
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.geometry import Cranks, Unit
+from stewart_drake.robot.geometry import Cranks, FromTable, Home, Unit
 from stewart_drake.robot.geometry import from_table as read_table
 from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
 from stewart_drake.runs.outputs import check_ending, prepare_file, prepared_file, write_text
@@ -66,22 +67,32 @@ def show(name: str, picture: Path | None) -> None:
 
 
 @command("robots from-table", out="robot.yaml", example="crank_length=0.025")
-def from_table(table: Path, unit: Unit, cranks: Cranks, overrides: tuple[str, ...], about: str, out: Path) -> None:
+def from_table(
+    table: Path, unit: Unit, cranks: Cranks, home: str, overrides: tuple[str, ...], about: str, out: Path
+) -> None:
     """TABLE is a CSV file with one row per leg: shaft_x, shaft_y, shaft_z, joint_x, joint_y, joint_z.
 
     In cylindrical coordinates about z: shaft_radius, shaft_deg, shaft_z, joint_radius, joint_deg, joint_z. Optional:
     crank_deg, pair, crank_length, rod_length.
     """
     parameters = parse_changes(overrides, "crank_length=0.025")
-    read = read_table(table, unit, cranks, parameters)
+    if home not in get_args(Home):
+        parameters["home_height"] = parse_yaml(home, "--home")
+    place: Home = "perpendicular" if home == "perpendicular" else "level"
+    read = read_table(table, unit, cranks, parameters, place)
+    if read.pairs:
+        print_line(f"pairs of motors: legs {', '.join(f'{one} and {other}' for one, other in read.pairs)}")
+    _save_read(read, parameters, about, out)
+
+
+def _save_read(read: FromTable, given: Document, about: str, out: Path) -> None:
+    """Writes a robot that was read, and prints what is doubtful or missing."""
+    if read.warning:
+        print_error(f"warning: {read.warning}")
     robot = RobotParameters(**read.parameters)
     save_robot(robot, out, about)
     print_line(f"robot in {out}: home at Z = {robot.home_height:.4g} m")
-    if read.pairs:
-        print_line(f"pairs of motors: legs {', '.join(f'{one} and {other}' for one, other in read.pairs)}")
-    if read.warning:
-        print_error(f"warning: {read.warning}")
-    missing = [f"{name} = {getattr(robot, name):g}" for name in _NOT_IN_TABLES if name not in parameters]
+    missing = [f"{name} = {getattr(robot, name):g}" for name in _NOT_IN_TABLES if name not in given]
     if missing:
         print_line(f"taken from the paper's robot, because not given [kg, kg m^2, N m]: {', '.join(missing)}")
 
