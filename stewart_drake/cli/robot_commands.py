@@ -18,8 +18,8 @@ from stewart_drake.cli.terminal import print_error, print_line, print_table, pro
 from stewart_drake.estimation import geometry, servos, torques
 from stewart_drake.hardware.servos import POSITION_PRESETS
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.geometry import Cranks, FromTable, Home, Unit
-from stewart_drake.robot.geometry import from_table as read_table
+from stewart_drake.robot.leg_table import Cranks, FromTable, Home, Unit
+from stewart_drake.robot.leg_table import from_table as read_table
 from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
 from stewart_drake.runs.outputs import check_ending, prepare_file, prepared_file, write_text
 from stewart_drake.scenario.scenario import Scenario, load_scenario

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from stewart_drake.base.config import Section
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.robot.geometry import Cranks, Home, Unit, check_geometry, from_table
+from stewart_drake.robot.geometry import check_geometry
 from stewart_drake.robot.leg import (
     LEG_COUNT,
     Branch,
@@ -27,6 +27,7 @@ from stewart_drake.robot.leg import (
     Size,
     Size3,
 )
+from stewart_drake.robot.leg_table import Cranks, Home, Unit, from_table
 
 _PAIR_ANGLES = np.arange(LEG_COUNT) // 2 * (2.0 * math.pi / 3.0)
 """(6,) [rad] directions c_k of the legs' pairs."""
@@ -170,7 +171,7 @@ class RobotParameters(Section, key="robot"):
         home: Home = "level",
         **parameters: object,
     ) -> RobotParameters:
-        """A robot from measured positions, a row per leg; for missing parameters see `geometry.from_table`.
+        """A robot from measured positions, a row per leg; for missing parameters see `leg_table.from_table`.
 
         A warning names a leg that breaks the pattern of the others, or has an unlikely size.
 

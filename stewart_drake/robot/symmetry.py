@@ -11,11 +11,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-_SAME = 0.06  # [-] Largest difference of a leg from the turned next one, over the radius of the shafts; for directions too.
+_SAME = 0.03  # [-] Largest difference of a leg from the turned next one, over the radius of the shafts.
+_PER_RADIAN = 0.5  # [-] By which a difference of directions counts in this.
 _THIRD = np.array([[-0.5, -math.sqrt(0.75), 0.0], [math.sqrt(0.75), -0.5, 0.0], [0.0, 0.0, 1.0]])
-_CURES = {"crank": "is it mirrored?", "crank_length": "is it another unit?", "rod_length": "is it another unit?"}
+_CURES = {
+    "crank": "is it mirrored or turned?",
+    "crank_length": "is it another unit?",
+    "rod_length": "is it another unit?",
+}
 _SIZES = {"crank_length": (0.05, 1.5), "rod_length": (0.4, 8.0)}  # [-] Usual ones, over the radius of the shafts.
-_RADIUS = 0.02, 1.0  # [m] Usual ones, of the shafts.
+_RADIUS = 0.03, 1.0  # [m] Usual ones, of the shafts.
 _TWIST = 40.0  # [deg] Largest usual turn about z from shafts to joints, on average.
 
 
@@ -26,10 +31,7 @@ def turned_legs(legs: Mapping[str, np.ndarray]) -> list[tuple[int | None, dict[s
         legs: Quantities (n, 3) of six legs, or of five: positions [m] `shaft` and `joint`, and optionally directions
             `crank`, and lengths (n,).
     """
-    count, radius = len(legs["shaft"]), _radius(legs["shaft"])
-    after = {name: values @ _THIRD.T if values.ndim == 2 else values for name, values in legs.items()}
-    off = np.max([_off(after[name][:, None] - legs[name], name, radius) for name in legs], axis=0)
-    match = (off <= _SAME) & ~np.eye(count, dtype=bool)
+    after, match = _turned_by_a_third(legs), _matches(legs)
     followed, preceded = match.any(axis=1), match.any(axis=0)
     alone, result = np.flatnonzero(~followed & ~preceded).tolist(), []
     for leg in np.flatnonzero(preceded & ~followed):
@@ -61,18 +63,22 @@ def doubts(shafts: np.ndarray, joints: np.ndarray, others: Mapping[str, np.ndarr
         cure = _CURES.get(name, "a wrong sign, order or number?")
         given, expected = (_text(name, values) for values in (legs[name][leg], right[name]))
         result.append(f"the {name} of leg {leg} is {given}, by the pattern of the other legs {expected}: {cure}")
-    if others and not result and _is_turned(points) and not _is_turned(points | {"crank": legs["crank"]}):
+    if others and not result and _matches(points).any() and not _matches(points | {"crank": legs["crank"]}).any():
         angles = ", ".join(_text("crank", crank) for crank in legs["crank"])
         cure = "are they measured clockwise, from another axis, or in radians?"
         result.append(f"the cranks of legs 0 to 5 point to {angles}, which does not turn with the shafts: {cure}")
     return [*result, *_turned(shafts, joints), *(_unlikely(shafts, others, radius) if others else ())]
 
 
-def _is_turned(legs: Mapping[str, np.ndarray]) -> bool:
-    """Whether a turn by a third maps at least one leg to another one."""
-    radius = _radius(legs["shaft"])
-    off = [_off((values @ _THIRD.T)[:, None] - values, name, radius) for name, values in legs.items()]
-    return bool((np.max(off, axis=0) + np.eye(len(legs["shaft"])) <= _SAME).any())
+def _turned_by_a_third(legs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: values @ _THIRD.T if values.ndim == 2 else values for name, values in legs.items()}
+
+
+def _matches(legs: Mapping[str, np.ndarray]) -> np.ndarray:
+    """(n, n) whether a leg, turned by a third, is another one."""
+    after, radius = _turned_by_a_third(legs), _radius(legs["shaft"])
+    off = np.max([_off(after[name][:, None] - legs[name], name, radius) for name in legs], axis=0)
+    return (off <= _SAME) & ~np.eye(len(off), dtype=bool)
 
 
 def _unlikely(shafts: np.ndarray, lengths: Mapping[str, np.ndarray], radius: float) -> list[str]:
@@ -110,10 +116,10 @@ def _off(difference: np.ndarray, name: str, radius: float) -> np.ndarray:
     """Sizes of differences [-], of directions or over the radius."""
     if name.endswith("length"):
         return np.abs(difference) / radius
-    return np.linalg.norm(difference, axis=-1) / (1.0 if name == "crank" else radius)
+    return np.linalg.norm(difference, axis=-1) * (_PER_RADIAN if name == "crank" else 1.0 / radius)
 
 
 def _text(name: str, values: np.ndarray) -> str:
     if name == "crank":
-        return f"{math.degrees(math.atan2(values[1], values[0])):.4g} deg"
+        return f"{round(math.degrees(math.atan2(values[1], values[0])), 1) + 0.0:g} deg"
     return ", ".join(f"{1e3 * value + 0.0:.4g}" for value in np.ravel(values)) + " mm"
