@@ -55,6 +55,9 @@ COMMANDS = {
     "robots from-table": About(
         "robot", "points.csv --unit mm --set crank_length=30", "Make a robot from joint positions"
     ),
+    "robots from-urdf": About("robot", "platform.urdf", "Make a robot from a URDF file of yours"),
+    "robots from-sdf": About("robot", "platform.sdf", "Make a robot from an SDF file of yours"),
+    "robots from-mjcf": About("robot", "platform.xml", "Make a robot from an MJCF file of yours"),
     "write-sdf": About("robot", "mini.sdf --robot reachy_mini", "Write a robot as an SDF file, for Drake and others"),
     "write-mjcf": About("robot", "mini.xml --robot reachy_mini", "Write a robot as an MJCF file, for MuJoCo"),
     "collect": About("study", "", "Run the paper's nine experiments: the tuner's training data"),

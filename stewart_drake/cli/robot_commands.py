@@ -46,15 +46,20 @@ def robots() -> None:
     print_table("robots", rows, ("robot", "what it is", "size", "platform"), numbers=())
 
 
-@command("robots show", name={"metavar": "ROBOT"})
-def show(name: str, picture: Path | None) -> None:
+@command(
+    "robots show",
+    name={"metavar": "ROBOT"},
+    plot=opt.option("Draw its numbered legs, and where cranks turn: FILE.png.", opt.OUT_FILE, default=None),
+)
+def show(name: str, plot: Path | None, picture: Path | None) -> None:
     """ROBOT is a name or a YAML file."""
     from stewart_drake.analysis.robot_sheet import robot_sheets
 
     loaded = load_robot(name)
-    if picture is not None:
-        check_ending("--picture", picture, ".png")
-        prepare_file(picture)
+    for option, file in (("--plot", plot), ("--picture", picture)):
+        if file is not None:
+            check_ending(option, file, ".png")
+            prepare_file(file)
     for title, header, rows in robot_sheets(loaded):
         print_table(f"{name}: {title}", rows, header, numbers=())
     if picture is not None:
@@ -64,6 +69,11 @@ def show(name: str, picture: Path | None) -> None:
             size = {"width": 800, "height": 600, "passes": _PASSES}
             render_png(loaded, loaded.home_pose, picture, **size, progress=advance)
         print_line(f"picture in {picture}")
+    if plot is not None:
+        from stewart_drake.plotting.robot_plots import plot_robot
+
+        plot_robot(loaded, plot)
+        print_line(f"legs in {plot}")
 
 
 @command("robots from-table", out="robot.yaml", example="crank_length=0.025")
@@ -85,13 +95,39 @@ def from_table(
     _save_read(read, parameters, about, out)
 
 
+def from_model(file: Path, motors: tuple[str, ...], overrides: tuple[str, ...], about: str, out: Path) -> None:
+    """FILE is an MJCF, SDF or URDF with six motors that turn cranks, each with a rod to one platform.
+
+    A rod ends in a joint or constraint, or its end has a frame that meets one of the platform. Shapes, friction and
+    damping are not read.
+    """
+    from stewart_drake.plant.foreign_robot import read_model
+
+    result = read_model(file, motors, parse_changes(overrides, "platform_mass=0.5"))
+    _save_read(result.read, result.given, about, out)
+    print_table("legs", result.motors, ("leg", "motor", "crank angle where the joint is at zero [deg]"))
+    for note in result.notes:
+        print_line(note)
+
+
+_MOTORS = opt.option(
+    "Joint of a motor, six times in the order of the legs [default: those on the base].",
+    flag="--motor",
+    multiple=True,
+    metavar="NAME",
+)
+for _kind in ("urdf", "sdf", "mjcf"):
+    command(f"robots from-{_kind}", out="robot.yaml", motors=_MOTORS, example="platform_mass=0.5")(from_model)
+
+
 def _save_read(read: FromTable, given: Document, about: str, out: Path) -> None:
     """Writes a robot that was read, and prints what is doubtful or missing."""
     if read.warning:
         print_error(f"warning: {read.warning}")
     robot = RobotParameters(**read.parameters)
     save_robot(robot, out, about)
-    print_line(f"robot in {out}: home at Z = {robot.home_height:.4g} m")
+    size = f"shafts {1e3 * robot.base_radius:.4g} mm from the middle"
+    print_line(f"robot in {out}: home at Z = {robot.home_height:.4g} m, {size}")
     missing = [f"{name} = {getattr(robot, name):g}" for name in _NOT_IN_TABLES if name not in given]
     if missing:
         print_line(f"taken from the paper's robot, because not given [kg, kg m^2, N m]: {', '.join(missing)}")
