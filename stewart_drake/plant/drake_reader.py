@@ -72,9 +72,8 @@ class _Model:
             parent, child = _bodies(joint)
             if parent in self.poses and child not in self.poses:
                 turn = joint.X_FM() if joint.type_name() == "weld" else RigidTransform()
-                in_parent, in_child = (
-                    f.GetFixedPoseInBodyFrame() for f in (joint.frame_on_parent(), joint.frame_on_child())
-                )
+                in_parent = joint.frame_on_parent().GetFixedPoseInBodyFrame()
+                in_child = joint.frame_on_child().GetFixedPoseInBodyFrame()
                 self.poses[child] = self.poses[parent] @ in_parent @ turn @ in_child.inverse()
                 self.inner[child] = joint
 
@@ -141,7 +140,7 @@ class _Model:
             effort = 0.0 if given is None else float(given.get("effort", 0.0))
             for index in self.plant.GetJointActuatorIndices():
                 actuator = self.plant.get_joint_actuator(index)
-                if actuator.joint() is joint:
+                if actuator.joint().index() == joint.index():
                     new.armature = actuator.default_reflected_inertia()
                     effort = actuator.effort_limit()
             if 0.0 < effort < math.inf:
@@ -157,7 +156,7 @@ class _Model:
             for names in (("body_A", "p_AP"), ("body_B", "p_BQ")):
                 name, place = (_value(element.find(f"drake{PREFIX}ball_constraint_{part}")) for part in names)
                 body = int(self.plant.GetBodyByName(name.split("::")[-1]).index())
-                ends.append((body, self.poses[body] @ np.array(place.split() or [0.0, 0.0, 0.0], dtype=float)))
+                ends.append((body, self.poses[body] @ np.array([float(x) for x in place.split()] or np.zeros(3))))
             yield ends
 
     def _cut(self, closures: list[_Ends]) -> list[_Ends]:
@@ -176,11 +175,9 @@ class _Model:
             top = self._top(body)
             taken = [*joined.get(top, ()), *(other for _, other in frames.get(top, ()))]
             is_origin = body == top and frame.name() == frame.body().name()
-            if (
-                top not in (0, self.base)
-                and not is_origin
-                and all(np.linalg.norm(place - other) > _SAME for other in taken)
-            ):
+            if is_origin or top in (0, self.base):
+                continue
+            if all(np.linalg.norm(place - other) > _SAME for other in taken):
                 frames.setdefault(top, []).append((body, place))
         platform = max(frames, key=lambda top: len(frames[top]), default=0)
         rods = [top for top in frames if top != platform and len(joined.get(top, ())) == 1]

@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 _MAX_BYTES = 10_000_000
 _GAP = 1e-3  # [-] Largest gap of the loops, over the radius of the shafts, of a robot that is assembled in the file.
 _NEAR = 0.25  # [-] Largest distance of a body's origin from the middle of its points, over that radius, to be kept.
-_TILT = math.radians(
-    10.0
-)  # [rad] Largest angle from the normal of the shafts to an axis of the base, to be taken for it.
+_TILT = math.cos(
+    math.radians(10.0)
+)  # Of the largest angle from the shafts' normal to an axis of the base taken for it.
 _OFF_CENTRE = 0.05  # [-] Distance of a link's centre of mass from its middle, over its length, that is mentioned.
 _NO_MASS = 1e-9  # [kg] Masses of bodies without one; MuJoCo needs some.
 _DIFFERENT = 0.01  # [-] Relative differences of the legs' masses that are mentioned.
@@ -170,7 +170,7 @@ def _base_frame(
     rotation, origin = frame
     axes = np.hstack([rotation, -rotation]).T
     best = axes[int((axes @ normal).argmax())]
-    z = best if best @ normal >= math.cos(_TILT) else normal
+    z = best if best @ normal >= _TILT else normal
     x = next(axis - (axis @ z) * z for axis in rotation.T if abs(axis @ z) < 0.9)
     x = x / np.linalg.norm(x)
     result = np.stack([x, np.cross(z, x), z], axis=-1)

@@ -42,9 +42,9 @@ class Legs(NamedTuple):
 
     def ordered(self, order: Sequence[int]) -> Legs:
         """The legs in another order."""
-        motors, cranks, rods = ([items[leg] for leg in order] for items in (self.motors, self.cranks, self.rods))
+        motors, cranks = ([bodies[leg] for leg in order] for bodies in (self.motors, self.cranks))
         points = (values[list(order)] for values in self[5:])
-        return Legs(motors, cranks, rods, self.platform, self.closures, *points)
+        return Legs(motors, cranks, [self.rods[leg] for leg in order], self.platform, self.closures, *points)
 
 
 def connect_ends(model: mujoco.MjModel, data: mujoco.MjData, equality: int) -> list[tuple[int, np.ndarray]]:

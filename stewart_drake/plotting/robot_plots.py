@@ -57,8 +57,8 @@ def _draw_plan(plan: Axes, shafts: np.ndarray, tips: np.ndarray, joints: np.ndar
     plan.fill(*around[:, :2].T, color=look.SKY, alpha=0.3)
     for leg in range(len(shafts)):
         plan.plot(*np.stack([tips[leg], joints[leg]])[:, :2].T, color=look.GREY, lw=2.0)
-        plan.annotate("", tips[leg, :2], shafts[leg, :2], arrowprops={**_ARROW, "color": look.ORANGE})
-        plan.annotate(str(leg), 1.12 * shafts[leg, :2], ha="center", va="center", fontsize=12, weight="bold")
+        plan.annotate("", tuple(tips[leg, :2]), tuple(shafts[leg, :2]), arrowprops={**_ARROW, "color": look.ORANGE})
+        plan.annotate(str(leg), tuple(1.12 * shafts[leg, :2]), ha="center", va="center", fontsize=12, weight="bold")
     rises = robot.crank_quarter_directions[:, 2] > 0.0
     for marker, which, text in (("^", rises, "raises"), ("v", ~rises, "lowers")):
         if which.any():

@@ -33,14 +33,11 @@ def turned_legs(legs: Mapping[str, np.ndarray]) -> list[tuple[int | None, dict[s
     """
     after, match = _turned_by_a_third(legs), _matches(legs)
     followed, preceded = match.any(axis=1), match.any(axis=0)
-    alone, result = np.flatnonzero(~followed & ~preceded).tolist(), []
+    alone, result = np.flatnonzero(~followed & ~preceded).tolist(), list[tuple[int | None, dict[str, np.ndarray]]]()
     for leg in np.flatnonzero(preceded & ~followed):
         right = {name: values[leg] for name, values in after.items()}
-        if not alone:
-            result.append((None, right))
-            continue
-        odd = min(alone, key=lambda one: float(np.linalg.norm(legs["shaft"][one] - right["shaft"])))
-        result.append((odd, right))
+        distances = {one: float(np.linalg.norm(legs["shaft"][one] - right["shaft"])) for one in alone}
+        result.append((min(distances, key=distances.__getitem__, default=None), right))
     return result
 
 
