@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, get_args
 import click
 
 from stewart_drake.base.atomic_files import Document
-from stewart_drake.base.yaml_files import parse_changes, parse_yaml, to_yaml
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.yaml_files import parse_changes, to_yaml
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_error, print_line, print_table, progress_bar, working
@@ -86,9 +87,12 @@ def from_table(
     crank_deg, pair, crank_length, rod_length.
     """
     parameters = parse_changes(overrides, "crank_length=0.025")
-    if home not in get_args(Home):
-        parameters["home_height"] = parse_yaml(home, "--home")
     place: Home = "perpendicular" if home == "perpendicular" else "level"
+    if home not in get_args(Home):
+        try:
+            parameters["home_height"] = float(home)
+        except ValueError:
+            raise ConfigurationError("--home", home, "level, perpendicular, or a height") from None
     read = read_table(table, unit, cranks, parameters, place)
     if read.pairs:
         print_line(f"pairs of motors: legs {', '.join(f'{one} and {other}' for one, other in read.pairs)}")

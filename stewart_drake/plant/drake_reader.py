@@ -56,6 +56,9 @@ class _Model:
             parser.AddModelsFromString(ET.tostring(tree, encoding="unicode").replace(PREFIX, ":"), "urdf")
         else:
             parser.AddModels(str(path))
+        # A link without a mass has one of 1 kg in SDF.
+        masses = {link.get("name"): _value(link.find("inertial/mass")) for link in tree.iter("link")}
+        self.massless = {name for name, mass in masses.items() if not _positive(mass)}
         self.joints: list[Joint] = [self.plant.get_joint(joint) for joint in self.plant.GetJointIndices()]
         self.inner: dict[int, Joint] = {}  # Body -> the joint that carries it in the tree.
         self.poses = {0: RigidTransform()}
@@ -106,12 +109,13 @@ class _Model:
         return spec
 
     def _add_body(self, made: dict[int, mujoco.MjsBody], body: int) -> mujoco.MjsBody:
-        joint, inertia = self.inner.get(body), self.plant.get_body(BodyIndex(body)).default_spatial_inertia()
+        joint, link = self.inner.get(body), self.plant.get_body(BodyIndex(body))
+        inertia = link.default_spatial_inertia()
         is_free = body != self.base if joint is None else joint.name() in self.floating
         parent = 0 if joint is None or is_free else _bodies(joint)[0]
         pose = self.poses[parent].inverse() @ self.poses[body]
         added = made[parent].add_body(pos=pose.translation(), quat=pose.rotation().ToQuaternion().wxyz())
-        if inertia.get_mass() > 0.0:
+        if inertia.get_mass() > 0.0 and link.name() not in self.massless:
             about = inertia.Shift(inertia.get_com()).CalcRotationalInertia().CopyToFullMatrix3()
             moments, axes = np.linalg.eigh(about)
             # MuJoCo takes no largest moment above the sum of the others, by rounding.
@@ -156,7 +160,7 @@ class _Model:
             for names in (("body_A", "p_AP"), ("body_B", "p_BQ")):
                 name, place = (_value(element.find(f"drake{PREFIX}ball_constraint_{part}")) for part in names)
                 body = int(self.plant.GetBodyByName(name.split("::")[-1]).index())
-                ends.append((body, self.poses[body] @ np.array([float(x) for x in place.split()] or np.zeros(3))))
+                ends.append((body, self.poses[body] @ _point(place, f"drake:ball_constraint_{names[1]} of {name}")))
             yield ends
 
     def _cut(self, closures: list[_Ends]) -> list[_Ends]:
@@ -222,12 +226,29 @@ def _value(element: ET.Element | None) -> str:
     return "" if element is None else (element.get("name") or element.get("value") or element.text or "").strip()
 
 
+def _positive(text: str) -> bool:
+    try:
+        return float(text) > 0.0
+    except ValueError:
+        return False
+
+
+def _point(text: str, name: str) -> np.ndarray:
+    try:
+        point = np.array([float(x) for x in text.split()] or np.zeros(3))
+    except ValueError:
+        point = np.zeros(0)
+    if point.shape != (3,) or not np.isfinite(point).all():
+        raise RuntimeError(f"{name}: three numbers, not {text}")
+    return point
+
+
 @contextmanager
 def _quiet() -> Iterator[None]:
     """Hides Drake's warnings, such as on friction that it does not read."""
     logger = logging.getLogger("drake")
     level = logger.level
-    logger.setLevel(logging.ERROR)
+    logger.setLevel(logging.CRITICAL)
     try:
         yield
     finally:

@@ -205,6 +205,19 @@ def test_motors_that_are_named_are_the_legs_in_this_order(tmp_path, capsys):
     assert "motor_2" in out
 
 
+GOOD = urdf(load_robot("servo_hexapod"))
+PAPER = sdf_text(load_robot("paper"))
+
+
+def test_links_without_masses_have_the_default_ones(tmp_path, capsys):
+    text = PAPER.replace("<mass>0.08</mass>", "<mass>-1</mass>")
+    text = re.sub(r'(<link name="platform">.*?)<inertial>.*?</inertial>', r"\1", text, flags=re.DOTALL)
+    (tmp_path / "robot.sdf").write_text(text)
+    from_model(tmp_path / "robot.sdf", (), (), "", tmp_path / "made.yaml")
+    missing = capsys.readouterr().out.split("because not given [kg, kg m^2, N m]: ")[1].splitlines()[0]
+    assert missing == "platform_mass = 1, rod_mass = 0.08, rotor_inertia = 0"
+
+
 def test_loops_that_joints_close_and_a_mjcf_without_actuators(tmp_path):
     robot = load_robot("reachy_mini")
     sdf = sdf_text(robot)
@@ -233,9 +246,6 @@ def test_a_mjcf_whose_rods_end_in_welded_sockets(tmp_path):
     check_same(RobotParameters(**read_model(tmp_path / "welded.xml", (), {}).read.parameters), robot)
 
 
-GOOD = urdf(load_robot("servo_hexapod"))
-
-
 @pytest.mark.parametrize(
     ("name", "content", "motors", "wanted"),
     [
@@ -249,7 +259,8 @@ GOOD = urdf(load_robot("servo_hexapod"))
         ("a.urdf", GOOD, ("servo_axis_ada",), r"--motor: expected six joints, or none"),
         ("a.urdf", GOOD, tuple("abcdef"), r"six joints of .*"),
         ("a.sdf", "<sdf/>", (), r"a file that Drake's parser reads"),
-        ("a.sdf", sdf_text(load_robot("paper")).replace("drake:ball_constraint_body_B>platform", "drake:ball_constraint_body_B>table", 1), (), r"Drake's parser reads"),
+        ("a.sdf", PAPER.replace("drake:ball_constraint_body_B>platform", "drake:ball_constraint_body_B>table", 1), (), r"Drake's parser reads"),
+        ("a.sdf", PAPER.replace("p_AP>0.0 0.0 0.404", "p_AP>0.0 0.0 x", 1), (), r"p_AP of rod_0: three numbers, not 0.0 0.0 x"),
         ("a.xml", "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>", (), r"an MJCF that MuJoCo reads"),
         ("a.xml", mjcf_text(load_robot("paper")).replace('<connect site1="end_2"', '<connect active="false" site1="end_2"'), (), r"not 5"),
     ],
