@@ -110,6 +110,16 @@ def far_axis(rows):
     return max(("shaft_x", "shaft_y"), key=lambda name: abs(rows[LEG, column(name)]))
 
 
+def turned_leg(rows):
+    turn = np.radians(20.0)
+    rotation = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    rows = rows.copy()
+    for first in (X, U):
+        rows[LEG, first : first + 2] = rows[LEG, first : first + 2] @ rotation
+    rows[LEG, YAW] += 20.0
+    return rows
+
+
 def joints_of(rows, order):
     rows = rows.copy()
     rows[:, 3:6] = rows[order, 3:6]
@@ -126,6 +136,7 @@ NUMBER = r"leg 3 .*by the pattern of the other legs"
 SPOILT = {
     "link lengths in metres": (lambda rows: rows, {"scale": 1e-3}, r"leg \d.* unit of the table\?"),
     "crank and rod exchanged": (lambda rows: rows, {"exchanged": True}, r"leg \d.*swapped\?"),
+    "table in inches": (lambda rows: rows, {"unit": "in"}, r"as of leg 0, are .* mm from z: is the unit right"),
     "table in metres": (lambda rows: rows, {"unit": "m"}, r"of leg \d.*(is the unit mm|unit right)\?"),
     "a sign of a joint": (lambda rows: changed(rows, LEG, joint_y=lambda y: -y), {}, NUMBER),
     "a sign of a shaft": (lambda rows: changed(rows, LEG, **{far_axis(rows): lambda x: -x}), {}, NUMBER),
@@ -140,6 +151,7 @@ SPOILT = {
     "an axis of the platform mirrored": (lambda rows: rows * [1, 1, 1, 1, -1, 1, 1], {}, r"leg.*axis of P mirrored\?"),
     "a mirrored crank": (lambda rows: changed(rows, LEG, crank_deg=lambda yaw: yaw + 180), {}, r"leg 3 .*mirrored"),
     "a turned crank": (lambda rows: changed(rows, LEG, crank_deg=lambda yaw: yaw + 20), {}, "crank of leg 3 .*pattern"),
+    "a turned leg": (turned_leg, {}, NUMBER),
     "cranks clockwise": (lambda rows: all_yaws(rows, np.negative), {}, r"cranks of legs 0 to 5 .*clockwise"),
     "cranks in radians": (lambda rows: all_yaws(rows, np.radians), {}, r"crank_deg of leg 0.*in rad it is crank_rad"),
 }  # fmt: skip

@@ -82,16 +82,17 @@ def test_a_robot_from_a_model_file_is_drawn(call, tmp_path):
 
 def test_home_by_a_height_or_perpendicular_rods(call, tmp_path):
     (tmp_path / "points.csv").write_text((DOCS / "your_robot.csv").read_text())
-    arguments = ("robots", "from-table", "points.csv", "--unit", "mm", "--cranks", "towards", "--set", "crank_length=30")
+    lengths = ("--set", "crank_length=30", "--set", "rod_length=180", "--out", "mine.yaml")
+    arguments = ("robots", "from-table", "points.csv", "--unit", "mm", "--cranks", "towards", *lengths)
     for home, height in (("perpendicular", None), ("195", 0.195)):
-        status, _, err = call(*arguments, "--set", "rod_length=180", "--home", home, "--out", "mine.yaml")
+        status, _, err = call(*arguments, "--home", home)
         assert (status, err) == (0, "")
         robot = load_robot("mine.yaml")
         apart = np.linalg.norm((robot.shaft_positions - robot.joints_in_platform)[:, :2], axis=-1)
         wanted = np.mean(0.035 + np.sqrt(0.18**2 + 0.03**2 - apart**2)) if height is None else height
         assert robot.home_height == pytest.approx(wanted, abs=1e-12)
-    status, _, err = call(*arguments, "--set", "rod_length=180", "--home", "flat")
-    assert (status, err.count("\n")) == (2, 1)
+    status, _, err = call(*arguments, "--home", "flat")
+    assert (status, err) == (2, "stewart-drake: --home: expected level, perpendicular, or a height, got 'flat'\n")
 
 
 @pytest.mark.slow

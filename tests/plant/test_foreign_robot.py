@@ -1,5 +1,6 @@
 """Robots out of model files of others: URDF, SDF and MJCF."""
 
+import importlib.util
 import json
 import re
 from pathlib import Path
@@ -20,7 +21,7 @@ from stewart_drake.robot.robot_files import load_robot
 
 PUBLIC = json.loads((Path(__file__).parents[1] / "data" / "public_robots.json").read_text())["robots"]
 WRITERS = {"robot.sdf": sdf_text, "robot.xml": mjcf_text}
-SHIPPED = ("paper", "reachy_mini", "servo_hexapod")
+SHIPPED = ("reachy_mini", "servo_hexapod")
 MOVES = np.array([[0, 0, 0, 0, 0, 0], [0.03, -0.02, 0.04, 0.02, -0.01, 0.02]])
 
 
@@ -83,9 +84,11 @@ def test_what_this_package_writes_comes_back(name, file, tmp_path):
 
 URDF_LINK = """<link name="{name}"><inertial><origin xyz="{centre}"/><mass value="{mass}"/>
 <inertia ixx="{i[0]}" iyy="{i[1]}" izz="{i[2]}" ixy="{i[3]}" ixz="{i[4]}" iyz="{i[5]}"/></inertial>
-<visual><geometry><mesh filename="package://missing/{name}.stl"/></geometry></visual></link>"""
+<visual><geometry><mesh filename="package://a/{name}.stl"/></geometry></visual></link>"""
 URDF_JOINT = """<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>
-<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/><limit effort="1.5" velocity="9" lower="-1" upper="1.2"/></joint>"""
+<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>
+<limit effort="1.5" velocity="9" lower="-1" upper="1.2"/></joint>"""
+STILL = np.zeros(6)
 WORLD = RigidTransform(RollPitchYaw(0.3, -0.2, 0.7), [0.1, 0.2, 0.3])
 """Of the base in the file."""
 
@@ -94,16 +97,15 @@ def text(numbers):
     return " ".join(f"{x:.17g}" for x in np.ravel(numbers))
 
 
-def urdf(robot, turn=np.zeros(6), hanging=False, spherical="spherical"):
+def urdf(robot, turn=STILL, hanging=False, base_pose=WORLD):
     """A URDF as CAD exports are: links named by parts, cut loops, and dummy links where they close.
 
     The cranks are at home turned by `turn`, so that the loops are open there; the platform floats, or hangs on rod 5.
     """
-    frames, parts = home_frames(robot), []
-    base_pose = WORLD
+    frames, parts, spherical = home_frames(robot), [], "spherical"
 
-    def link(name, mass=0.0, centre=(0, 0, 0), inertia=np.zeros((3, 3))):
-        six = [*np.diag(inertia), *inertia[np.triu_indices(3, 1)]]
+    def link(name, mass=0.0, centre=(0, 0, 0), inertia=STILL):
+        six = [*np.diag(inertia), *inertia[np.triu_indices(3, 1)]] if mass else []
         parts.append(
             f'<link name="{name}"/>'
             if mass == 0
@@ -182,6 +184,14 @@ def test_a_urdf_with_other_names_cut_loops_and_a_turned_base(name, hanging, tmp_
     assert any(note.startswith(f"z of B is {tilt:.4g} deg from the vertical") for note in result.notes)
 
 
+def test_a_robot_that_hangs_has_z_downwards(tmp_path):
+    robot = load_robot("servo_hexapod")
+    (tmp_path / "desk.urdf").write_text(urdf(robot, base_pose=RigidTransform(RollPitchYaw(np.pi, 0.0, 0.0), [0, 0, 1])))
+    result = read_model(tmp_path / "desk.urdf", (), {})
+    check_same(RobotParameters(**result.read.parameters), robot)
+    assert any(note.startswith("z of B is 180 deg from the vertical of the file") for note in result.notes)
+
+
 def test_a_urdf_whose_loops_are_open_has_its_home_where_cranks_are_level(tmp_path):
     robot = load_robot("servo_hexapod")
     (tmp_path / "desk.urdf").write_text(urdf(robot, turn=np.full(6, 0.3)))
@@ -239,11 +249,21 @@ def test_a_mjcf_whose_rods_end_in_welded_sockets(tmp_path):
     text = mjcf_text(robot)
     for leg in range(6):
         socket = f'<site name="end_{leg}"'
-        body = f'<body name="socket_{leg}" pos="0 0 {float(robot.rod_lengths[leg])!r}"><joint type="ball"/><geom size="0.001"/></body>'
+        ball = '<joint type="ball"/><geom size="0.001"/>'
+        body = f'<body name="socket_{leg}" pos="0 0 {float(robot.rod_lengths[leg])!r}">{ball}</body>'
         text = text.replace(socket, f"{body}{socket}")
         text = re.sub(rf'<connect site1="end_{leg}"[^>]*/>', f'<weld body1="socket_{leg}" body2="platform"/>', text)
     (tmp_path / "welded.xml").write_text(text)
     check_same(RobotParameters(**read_model(tmp_path / "welded.xml", (), {}).read.parameters), robot)
+
+
+NAMED_TWICE = GOOD.replace('child link="end_bob"', 'child link="nobody"')
+TURNING_END = GOOD.replace('name="end_glue_bob" type="fixed"', 'name="end_glue_bob" type="revolute"')
+NO_TABLE = PAPER.replace("constraint_body_B>platform", "constraint_body_B>table", 1)
+NO_POINT = PAPER.replace("p_AP>0.0 0.0 0.404", "p_AP>0.0 0.0 x", 1)
+FIVE = mjcf_text(load_robot("paper")).replace('<connect site1="end_2"', '<connect active="false" site1="end_2"')
+NO_MASS = "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>"
+READS = "a file that Drake's parser reads, .*; "
 
 
 @pytest.mark.parametrize(
@@ -253,16 +273,16 @@ def test_a_mjcf_whose_rods_end_in_welded_sockets(tmp_path):
         ("a.urdf", "<html></html>", (), r"expected a file of URDF, SDF, MJCF, got '?<html>"),
         ("a.urdf", '<robot xmlns:xacro="x"></robot>', (), r"; run xacro first"),
         ("a.urdf", '<robot name="a"><link name="b"/></robot>', (), r"six motors each turn a crank .* not 0"),
-        ("a.urdf", '<robot name="a"><joint name="b" type="x"/></robot>', (), r"a file that Drake's parser reads.*; "),
-        ("a.urdf", GOOD.replace('child link="end_bob"', 'child link="nobody"'), (), r"Drake's parser reads.*nobody"),
-        ("a.urdf", GOOD.replace("seat_", "xseat_", 0).replace('name="end_glue_bob" type="fixed"', 'name="end_glue_bob" type="revolute"'), (), r"not \d"),
+        ("a.urdf", '<robot name="a"><joint name="b" type="x"/></robot>', (), READS),
+        ("a.urdf", NAMED_TWICE, (), f"{READS}.*nobody"),
+        ("a.urdf", TURNING_END, (), r"turn a crank with a rod to one platform, not 5"),
         ("a.urdf", GOOD, ("servo_axis_ada",), r"--motor: expected six joints, or none"),
         ("a.urdf", GOOD, tuple("abcdef"), r"six joints of .*"),
-        ("a.sdf", "<sdf/>", (), r"a file that Drake's parser reads"),
-        ("a.sdf", PAPER.replace("drake:ball_constraint_body_B>platform", "drake:ball_constraint_body_B>table", 1), (), r"Drake's parser reads"),
-        ("a.sdf", PAPER.replace("p_AP>0.0 0.0 0.404", "p_AP>0.0 0.0 x", 1), (), r"p_AP of rod_0: three numbers, not 0.0 0.0 x"),
-        ("a.xml", "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>", (), r"an MJCF that MuJoCo reads"),
-        ("a.xml", mjcf_text(load_robot("paper")).replace('<connect site1="end_2"', '<connect active="false" site1="end_2"'), (), r"not 5"),
+        ("a.sdf", "<sdf/>", (), READS),
+        ("a.sdf", NO_TABLE, (), READS),
+        ("a.sdf", NO_POINT, (), r"p_AP of rod_0: three numbers, not 0.0 0.0 x"),
+        ("a.xml", NO_MASS, (), r"an MJCF that MuJoCo reads"),
+        ("a.xml", FIVE, (), r"not 5"),
     ],
 )  # fmt: skip
 def test_a_model_that_is_none_is_refused_in_one_line(name, content, motors, wanted, tmp_path):
@@ -270,3 +290,24 @@ def test_a_model_that_is_none_is_refused_in_one_line(name, content, motors, want
     with pytest.raises(ConfigurationError, match=wanted) as caught:
         read_model(tmp_path / name, motors, {})
     assert "\n" not in str(caught.value)
+
+
+MAKER = Path("descriptions/reachy_mini")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("reachy_mini") is None, reason="needs the package reachy_mini")
+@pytest.mark.parametrize("file", ["mjcf/reachy_mini.xml", "urdf/robot.urdf"])
+def test_the_maker_s_files_of_reachy_mini_are_the_robot_of_the_package(file):
+    folder = Path(importlib.util.find_spec("reachy_mini").submodule_search_locations[0])
+    again = RobotParameters(**read_model(folder / MAKER / file, (), {}).read.parameters)
+    robot = load_robot("reachy_mini")
+    for name in ("shaft_positions", "joints_in_platform"):
+        apart = (
+            np.linalg.norm(points[:, None] - points, axis=-1) for points in (getattr(again, name), getattr(robot, name))
+        )
+        np.testing.assert_allclose(*apart, atol=2e-6)
+    np.testing.assert_allclose(again.rod_lengths, 0.085, atol=2e-6)
+    np.testing.assert_allclose(again.crank_lengths, 0.04, atol=2e-6)
+    np.testing.assert_allclose(again.crank_angle_ranges, robot.crank_angle_ranges, atol=1e-4)
+    assert again.platform_mass == pytest.approx(robot.platform_mass)
+    np.testing.assert_allclose(*(np.linalg.eigvalsh(made.central_inertia) for made in (again, robot)), rtol=1e-3)
