@@ -90,9 +90,11 @@ def read_model(path: Path, motors: Sequence[str], parameters: Document) -> Impor
         spec = read_drake(path, tree, key)
     try:
         options = MujocoOptions.from_dict({"model_file": str(path), "motor_joints": list(motors) or None})
-        file = ModelFile(options, spec=spec, welded=True)
+        file = ModelFile(options, spec=spec, lenient=True)
     except ConfigurationError as error:
-        raise ConfigurationError(key, error.value, error.allowed.replace("plant.motor_joints", "--motor")) from None
+        raise ConfigurationError(
+            key, error.value, error.allowed.replace("one of plant.motor_joints", "on the base, or one of --motor")
+        ) from None
     data = mujoco.MjData(file.model)
     mujoco.mj_kinematics(file.model, data)
     return _robot(file, data, motors, parameters, tree)

@@ -144,10 +144,13 @@ def _path(given: str) -> Path:
 
 
 class ModelFile:
-    """An MJCF model without all that the plant does not use: other joints, other equalities, actuators, geometry."""
+    """An MJCF model without all that the plant does not use: other joints, other equalities, actuators, geometry.
+
+    A `lenient` one takes bodies that a weld holds for one, and without actuators the hinges on the base for motors.
+    """
 
     def __init__(
-        self, options: MujocoOptions, text: str = "", spec: mujoco.MjSpec = None, *, welded: bool = False
+        self, options: MujocoOptions, text: str = "", spec: mujoco.MjSpec = None, *, lenient: bool = False
     ) -> None:
         with installed_with("stewart-drake[mujoco]"):
             import mujoco
@@ -167,16 +170,16 @@ class ModelFile:
                 raise ConfigurationError("plant.motor_joints", name, allowed)
         hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE).tolist()
         is_motor = (lambda joint: known[joint] in names) if names else partial(self._actuators, model)
-        legs = mjcf_legs.find_legs(model, [joint for joint in hinges if is_motor(joint)], welded=welded)
-        if isinstance(legs, int) and not names:
+        legs = mjcf_legs.find_legs(model, [joint for joint in hinges if is_motor(joint)], welded=lenient)
+        if isinstance(legs, int) and lenient and not names:
             # Without actuators, the hinges on the base: the body with most of them.
             bodies = mjcf_legs.rigid_roots(model)[model.body_parentid[model.jnt_bodyid[hinges]]].tolist()
             base = max(bodies, key=bodies.count, default=0)
             on_base = [joint for joint, body in zip(hinges, bodies, strict=True) if body == base]
-            legs = mjcf_legs.find_legs(model, on_base, welded=welded)
+            legs = mjcf_legs.find_legs(model, on_base, welded=lenient)
         if isinstance(legs, int):
             allowed = f"a model in which six motors each turn a crank with a rod to one platform, not {legs}"
-            hint = "a motor is a hinge with an actuator or on the base, or one of plant.motor_joints"
+            hint = "a motor is a hinge with an actuator, or one of plant.motor_joints"
             raise ConfigurationError(_KEY, self.name, f"{allowed}; {hint}")
         self.legs, bodies = legs, {legs.platform, *(body for rods in legs.rods for body in rods)}
         self.limits = np.array([self._force_range(model, joint) for joint in legs.motors])
