@@ -10,7 +10,6 @@ import logging
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import mujoco
@@ -38,11 +37,16 @@ def read_drake(path: Path, tree: ET.Element, key: str) -> mujoco.MjSpec:
     Raises:
         ConfigurationError: Drake's parser does not read it.
     """
+    logger = logging.getLogger("drake")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)  # Of friction, which is not read, there is a warning a joint.
     try:
-        with drake_guard("Drake"), _quiet():
+        with drake_guard("Drake"):
             return _Model(path, tree).spec()
     except DrakeCheckError as error:
         raise ConfigurationError(key, f"<{tree.tag}>", f"a file that Drake's parser reads; {error}") from None
+    finally:
+        logger.setLevel(level)
 
 
 class _Model:
@@ -57,8 +61,8 @@ class _Model:
         else:
             parser.AddModels(str(path))
         # A link without a mass has one of 1 kg in SDF.
-        masses = {link.get("name"): _value(link.find("inertial/mass")) for link in tree.iter("link")}
-        self.massless = {name for name, mass in masses.items() if not _positive(mass)}
+        masses = {link.get("name"): _numbers(_value(link.find("inertial/mass"))) for link in tree.iter("link")}
+        self.massless = {name for name, mass in masses.items() if not (mass and mass[0] > 0.0)}
         self.joints: list[Joint] = [self.plant.get_joint(joint) for joint in self.plant.GetJointIndices()]
         self.inner: dict[int, Joint] = {}  # Body -> the joint that carries it in the tree.
         self.poses = {0: RigidTransform()}
@@ -158,9 +162,12 @@ class _Model:
         for element in self.tree.iter(f"drake{PREFIX}ball_constraint"):
             ends: _Ends = []
             for names in (("body_A", "p_AP"), ("body_B", "p_BQ")):
-                name, place = (_value(element.find(f"drake{PREFIX}ball_constraint_{part}")) for part in names)
+                name, text = (_value(element.find(f"drake{PREFIX}ball_constraint_{part}")) for part in names)
                 body = int(self.plant.GetBodyByName(name.split("::")[-1]).index())
-                ends.append((body, self.poses[body] @ _point(place, f"drake:ball_constraint_{names[1]} of {name}")))
+                place = np.array(_numbers(text or "0 0 0"))
+                if place.shape != (3,):
+                    raise RuntimeError(f"drake:ball_constraint_{names[1]} of {name}: three numbers, not {text}")
+                ends.append((body, self.poses[body] @ place))
             yield ends
 
     def _cut(self, closures: list[_Ends]) -> list[_Ends]:
@@ -226,30 +233,10 @@ def _value(element: ET.Element | None) -> str:
     return "" if element is None else (element.get("name") or element.get("value") or element.text or "").strip()
 
 
-def _positive(text: str) -> bool:
+def _numbers(text: str) -> list[float]:
+    """Finite numbers of a text; empty if one is none."""
     try:
-        return float(text) > 0.0
+        numbers = [float(word) for word in text.split()]
     except ValueError:
-        return False
-
-
-def _point(text: str, name: str) -> np.ndarray:
-    try:
-        point = np.array([float(x) for x in text.split()] or np.zeros(3))
-    except ValueError:
-        point = np.zeros(0)
-    if point.shape != (3,) or not np.isfinite(point).all():
-        raise RuntimeError(f"{name}: three numbers, not {text}")
-    return point
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Hides Drake's warnings, such as on friction that it does not read."""
-    logger = logging.getLogger("drake")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
+        return []
+    return numbers if np.isfinite(numbers).all() else []

@@ -11,7 +11,6 @@ import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Sequence
-from itertools import permutations, product
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -121,7 +120,8 @@ def _robot(
     near = abs(at_platform[2] - in_base[2]) <= radius and np.hypot(*(at_platform - in_base)[:2]) <= _NEAR * radius
     plate, at_plate = base, origin + base @ [0.0, 0.0, at_platform[2] if near else in_base[2]]
     if not assembled:
-        plate, at_plate = _nearest_axes(of_platform[0], base), of_platform[1] if near else middle
+        # At home the frames of both bodies are taken to be parallel.
+        plate, at_plate = of_platform[0] @ of_base[0].T @ base, of_platform[1] if near else middle
         notes.append(f"the loops are open by up to {1e3 * gap:.4g} mm in the file: home is where cranks are level")
     crank, axis = (legs.tips - legs.centres) @ base, legs.axes @ base
     lengths = np.linalg.norm(crank, axis=-1)
@@ -156,12 +156,11 @@ def _robot(
 
 def _common_body(parents: np.ndarray, bodies: Sequence[int]) -> int:
     """The nearest body that is each of `bodies` or above it."""
-    chains = []
-    for body in bodies:
-        chain = [body]
-        while chain[-1] != 0:
-            chain.append(int(parents[chain[-1]]))
-        chains.append(chain)
+
+    def above(body: int) -> list[int]:
+        return [body] if body == 0 else [body, *above(int(parents[body]))]
+
+    chains = [above(body) for body in bodies]
     return next(body for body in chains[0] if all(body in chain for chain in chains))
 
 
@@ -181,14 +180,6 @@ def _base_frame(
         origin = origin + result @ [off[0], off[1], 0.0]
     # So that the platform is above the origin.
     return result, origin if abs(off[2]) <= 3.0 * radius else origin + result @ [0.0, 0.0, off[2]]
-
-
-def _nearest_axes(rotation: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The frame of axes of `rotation`, with either sign, that is nearest to `target`."""
-    frames = [
-        rotation[:, order] * signs for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)
-    ]
-    return max((f for f in frames if np.linalg.det(f) > 0.0), key=lambda f: float(np.trace(f.T @ target)))
 
 
 def _zero_directions(crank: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -67,10 +67,9 @@ def from_table(
     branch, pair (one number for the two motors of a pair), and low and high [rad], its stops. Lines that begin with #
     are comments. In place of _deg also _rad. A mapping has the columns (6,).
 
-    Missing parameters: at `home_height` the cranks are level on average, or with `home` perpendicular to the rods,
-    which is where many projects begin; the branch of a leg is the one with the crank
-    nearer to level there; `characteristic_length` is the joints' mean distance from the axis of P; links are as slender
-    as the paper's; inertias are those of uniform bars and of a disc.
+    Missing parameters: at `home_height` the cranks are level on average, or with `home` perpendicular to the rods; the
+    branch of a leg is the one with the crank nearer to level there; `characteristic_length` is the joints' mean
+    distance from the axis of P; links are as slender as the paper's; inertias are those of uniform bars and of a disc.
 
     Raises:
         ConfigurationError: Too few rows, columns or numbers; an unknown choice; cranks that point to or from a partner,
@@ -86,12 +85,8 @@ def from_table(
     columns = _columns(table, scale)
     # Removes rounding errors of millimetres in metres.
     shafts, joints = (np.round(scale * _vectors(columns, end), 12) for end in ("shaft", "joint"))
-    _check_sizes(shafts, "shaft")
-    _check_sizes(joints, "joint")
     # Before the lengths, because with a mirrored axis rods seem too short.
-    with _explained(doubts(shafts, joints)):
-        _check_doubled(shafts)
-        check_order(shafts, joints)
+    _check_points(shafts, joints)
     lengths: dict[str, np.ndarray] = {}
     for name in ("crank_length", "rod_length"):
         if name not in columns and name not in chosen:
@@ -104,30 +99,29 @@ def from_table(
     height = chosen.get("home_height")
     with _explained(doubted):
         heights, levels = _home_heights(shafts, joints, zero, lengths, home, height is None)
-    height = float(heights.mean() if height is None else height)
-    span = joints + [0.0, 0.0, height] - shafts
-    of_legs = {
-        "shaft_position": shafts,
-        "platform_joint": joints,
-        "crank_zero_direction": zero,
-        "crank_quarter_direction": up,
-        "branch": (columns["branch"] if "branch" in columns else _branches(span, zero, up, lengths)).astype(int),
-        **lengths,
-    }
-    if "low" in columns:
-        of_legs["crank_angle_range"] = np.stack([columns["low"], columns["high"]], axis=-1)
-    size = float(np.hypot(joints[:, 0], joints[:, 1]).mean())
-    known = {
-        "legs": [{name: values[leg].tolist() for name, values in of_legs.items()} for leg in range(LEG_COUNT)],
-        "home_height": height,
-        "characteristic_length": size,
-        "link_radius": _LINK_RADIUS * size,
-        **{name: float(values.mean()) for name, values in lengths.items()},
-        **chosen,
-    }
+    points = {"shaft_position": shafts, "platform_joint": joints}
+    directions = {"crank_zero_direction": zero, "crank_quarter_direction": up}
+    known = {"home_height": float(heights.mean()), **chosen}
+    known = _parameters(points | directions | lengths, columns, known) | known
     # A wrong point is no mirrored crank.
     level = [] if doubted and not doubted[0].startswith("the crank ") else _spread(levels, lengths["rod_length"])
     return FromTable(_inertias(known) | known, pairs, "; ".join([*level, *doubted]))
+
+
+def _parameters(of_legs: dict[str, np.ndarray], columns: Mapping[str, np.ndarray], known: Document) -> Document:
+    """Legs and sizes of a robot with a known home."""
+    shafts, joints, zero, up, *lengths = of_legs.values()
+    span = joints + [0.0, 0.0, known["home_height"]] - shafts
+    of_legs["branch"] = (columns["branch"] if "branch" in columns else _branches(span, zero, up, *lengths)).astype(int)
+    if "low" in columns:
+        of_legs["crank_angle_range"] = np.stack([columns["low"], columns["high"]], axis=-1)
+    size = float(np.hypot(joints[:, 0], joints[:, 1]).mean())
+    return {
+        "legs": [{name: values[leg].tolist() for name, values in of_legs.items()} for leg in range(LEG_COUNT)],
+        "characteristic_length": size,
+        "link_radius": _LINK_RADIUS * size,
+        **{name: float(of_legs[name].mean()) for name in ("crank_length", "rod_length")},
+    }
 
 
 @contextmanager
@@ -140,20 +134,20 @@ def _explained(doubted: Sequence[str]) -> Iterator[None]:
         raise ConfigurationError(error.key, error.value, "; ".join([allowed, *doubted, *hint])) from None
 
 
-def _check_sizes(points: np.ndarray, end: str) -> None:
-    far = np.abs(points).max(axis=-1) > MOST
-    if far.any():
-        leg = int(far.argmax())
-        allowed = f"a position within {MOST:g} m; is the unit mm?"
-        raise ConfigurationError(f"table: {end} of leg {leg}", points[leg].tolist(), allowed)
-
-
-def _check_doubled(shafts: np.ndarray) -> None:
+def _check_points(shafts: np.ndarray, joints: np.ndarray) -> None:
+    """Refuses points that are far away, doubled or out of order."""
+    for end, points in (("shaft", shafts), ("joint", joints)):
+        leg = int(np.abs(points).max(axis=-1).argmax())
+        if np.abs(points[leg]).max() > MOST:
+            allowed = f"a position within {MOST:g} m; is the unit mm?"
+            raise ConfigurationError(f"table: {end} of leg {leg}", points[leg].tolist(), allowed)
     apart = np.linalg.norm(shafts[:, None] - shafts, axis=-1) + np.diag(np.full(LEG_COUNT, np.inf))
     one, other = np.unravel_index(int(apart.argmin()), apart.shape)
-    if not apart[one, other] > _DOUBLED * np.linalg.norm(shafts[:, :2], axis=-1).max():
-        allowed = f"another position than that of leg {one}; one row twice, or a wrong sign?"
-        raise ConfigurationError(f"table: shaft of leg {other}", shafts[other].tolist(), allowed)
+    with _explained(doubts(shafts, joints)):
+        if not apart[one, other] > _DOUBLED * np.linalg.norm(shafts[:, :2], axis=-1).max():
+            allowed = f"another position than that of leg {one}; one row twice, or a wrong sign?"
+            raise ConfigurationError(f"table: shaft of leg {other}", shafts[other].tolist(), allowed)
+        check_order(shafts, joints)
 
 
 def _far_pairs(shafts: np.ndarray, pairs: Sequence[tuple[int, int]]) -> list[str]:
@@ -208,25 +202,19 @@ def _columns(table: str | Path | ArrayLike | Mapping[str, np.ndarray], scale: fl
 
 def _cartesian(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The columns with x, y, z in place of polar coordinates."""
-    for polar, plain in _POLAR.items():
-        in_deg = polar[-1]
-        in_rad = f"{in_deg[:-3]}rad"
-        angle = columns.pop(in_deg) if in_deg in columns else None
-        turn = 2.0 * math.pi + 0.01
-        if angle is not None and len(angle) > 1 and np.abs(angle).max() <= turn:
-            raise ConfigurationError(f"table: {in_deg} of leg 0", float(angle[0]), f"degrees; in rad it is {in_rad}")
-        if in_rad in columns:
-            angle = np.degrees(columns.pop(in_rad))
-            if np.abs(angle).max() > 2.0 * np.degrees(turn):
-                leg = int(np.abs(angle).argmax())
-                value = math.radians(angle[leg])
-                raise ConfigurationError(
-                    f"table: {in_rad} of leg {leg}", value, f"an angle [rad]; in deg it is {in_deg}"
-                )
-        if angle is not None:
-            x, y = math.prod(columns.pop(name) for name in polar[:-1]) * np.array(
-                [np.cos(np.radians(angle)), np.sin(np.radians(angle))]
-            )
+    turn = 2.0 * math.pi + 0.01
+    for (*radius, in_deg), plain in _POLAR.items():
+        in_rad = f"{in_deg.removesuffix('deg')}rad"
+        for name, other in ((in_deg, in_rad), (in_rad, in_deg)):
+            if name not in columns:
+                continue
+            angle = columns.pop(name)
+            leg = int(np.abs(angle).argmax())
+            if (name == in_deg) == (abs(angle[leg]) <= turn):
+                allowed = f"an angle in {name[-3:]}; in {other[-3:]} the column is {other}"
+                raise ConfigurationError(f"table: {name} of leg {leg}", float(angle[leg]), allowed)
+            around = np.radians(angle) if name == in_deg else angle
+            x, y = math.prod(columns.pop(one) for one in radius) * np.array([np.cos(around), np.sin(around)])
             columns |= dict(zip(plain, (x, y, 0.0 * x), strict=False))
     return columns
 
@@ -354,9 +342,9 @@ def _spread(levels: np.ndarray, rods: np.ndarray) -> list[str]:
     return [f"the crank of leg {leg} is level at {mm[leg]:.4g} mm, {among}: is it mirrored, or a point of it wrong?"]
 
 
-def _branches(span: np.ndarray, zero: np.ndarray, up: np.ndarray, lengths: Mapping[str, np.ndarray]) -> np.ndarray:
+def _branches(span: np.ndarray, zero: np.ndarray, up: np.ndarray, crank: np.ndarray, rod: np.ndarray) -> np.ndarray:
     """Branches (6,), -1 or 1, of which the crank is nearer to theta = 0 at home."""
-    along, across, constant = crank_equation(span, zero, up, lengths["crank_length"], lengths["rod_length"])
+    along, across, constant = crank_equation(span, zero, up, crank, rod)
     size = np.maximum(np.hypot(along, across), np.finfo(float).tiny)
     middle, spread = np.arctan2(across, along), np.arccos(np.clip(constant / size, -1.0, 1.0))
     return np.where(np.abs(wrapped(middle - spread)) <= np.abs(wrapped(middle + spread)), -1, 1)
