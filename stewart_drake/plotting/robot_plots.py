@@ -13,6 +13,7 @@ from stewart_drake.plotting import style as look
 from stewart_drake.robot import RobotParameters
 
 _ARC = np.radians(np.linspace(-40.0, 40.0, 41))  # About the crank's angle.
+_FLAT = 1e-6  # Of cranks that turn in a horizontal plane.
 _ARROW = {"arrowstyle": "-|>", "shrinkA": 0.0, "shrinkB": 0.0, "lw": 2.0}
 
 
@@ -39,10 +40,11 @@ def plot_robot(robot: RobotParameters, path: str | Path) -> None:
         side.annotate("", tip, at, arrowprops={**_ARROW, "color": look.ORANGE})
         side.plot(*at, "s", color=look.BLUE)
         side.plot(*joint, "o", color=look.GREEN)
-        note = f"leg {leg}\n{math.degrees(angle) + 0.0:.1f} deg"
+        note = f"leg {leg}\n{round(math.degrees(angle), 1) + 0.0:.1f} deg"
         side.annotate(note, (at[0], 0.0), (0, 10), ("data", "axes fraction"), textcoords="offset points", ha="center")
     side.set(title="Every leg in its crank's plane: angle at home, arrow to larger angles", ylabel="z [mm]", xticks=[])
     side.set_aspect("equal", adjustable="datalim")
+    look.legend_below(figure, plan.get_legend_handles_labels()[0])
     look.save_figure(figure, path)
 
 
@@ -52,15 +54,22 @@ def _in_plane(robot: RobotParameters, arms: np.ndarray) -> np.ndarray:
     return np.stack([np.sum(arms * robot.crank_zero_directions, axis=-1), np.sum(arms * up, axis=-1)], axis=-1)
 
 
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-9))
+
+
 def _draw_plan(plan: Axes, shafts: np.ndarray, tips: np.ndarray, joints: np.ndarray, robot: RobotParameters) -> None:
     around = joints[np.argsort(np.arctan2(*joints[:, 1::-1].T))]
     plan.fill(*around[:, :2].T, color=look.SKY, alpha=0.3)
     for leg in range(len(shafts)):
         plan.plot(*np.stack([tips[leg], joints[leg]])[:, :2].T, color=look.GREY, lw=2.0)
         plan.annotate("", tuple(tips[leg, :2]), tuple(shafts[leg, :2]), arrowprops={**_ARROW, "color": look.ORANGE})
-        plan.annotate(str(leg), tuple(1.12 * shafts[leg, :2]), ha="center", va="center", fontsize=12, weight="bold")
-    rises = robot.crank_quarter_directions[:, 2] > 0.0
-    for marker, which, text in (("^", rises, "raises"), ("v", ~rises, "lowers")):
+        # Beside the crank, and further out than the partner's number.
+        free = _unit(0.6 * _unit(shafts[leg, :2]) - _unit(tips[leg, :2] - shafts[leg, :2]))
+        place = shafts[leg, :2] + 0.1 * np.linalg.norm(shafts[leg, :2]) * free
+        plan.annotate(str(leg), tuple(place), ha="center", va="center", fontsize=12, weight="bold")
+    up = robot.crank_quarter_directions[:, 2]
+    for marker, which, text in (("^", up > _FLAT, "raises"), ("v", up < -_FLAT, "lowers")):
         if which.any():
             plan.plot(
                 *tips[which, :2].T, marker, color=look.ORANGE, ms=8, ls="", label=f"a larger angle {text} the crank"
@@ -70,4 +79,3 @@ def _draw_plan(plan: Axes, shafts: np.ndarray, tips: np.ndarray, joints: np.ndar
     plan.set(title="From above, at home", xlabel="x [mm]", ylabel="y [mm]")
     plan.set_aspect("equal")
     plan.margins(0.15)
-    plan.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2)
