@@ -133,6 +133,7 @@ def all_yaws(rows, change):
 
 
 NUMBER = r"leg 3 .*by the pattern of the other legs"
+HEIGHT = r"leg 3 .*(by the pattern of the other legs|a point of it wrong)"
 SPOILT = {
     "link lengths in metres": (lambda rows: rows, {"scale": 1e-3}, r"leg \d.* unit of the table\?"),
     "crank and rod exchanged": (lambda rows: rows, {"exchanged": True}, r"leg \d.*swapped\?"),
@@ -140,7 +141,7 @@ SPOILT = {
     "table in metres": (lambda rows: rows, {"unit": "m"}, r"of leg \d.*(is the unit mm|unit right)\?"),
     "a sign of a joint": (lambda rows: changed(rows, LEG, joint_y=lambda y: -y), {}, NUMBER),
     "a sign of a shaft": (lambda rows: changed(rows, LEG, **{far_axis(rows): lambda x: -x}), {}, NUMBER),
-    "a joint at a wrong height": (lambda rows: changed(rows, LEG, joint_z=0.08 * rows[:, X].max()), {}, NUMBER),
+    "a joint at a wrong height": (lambda rows: changed(rows, LEG, joint_z=0.08 * rows[:, X].max()), {}, HEIGHT),
     "x and y of a joint exchanged": (x_and_y, {}, NUMBER),
     "a decimal point": (lambda rows: changed(rows, LEG, joint_x=lambda x: 10 * x), {}, NUMBER),
     "a doubled point": (lambda rows: changed(rows, LEG, joint_x=rows[2, U], joint_y=rows[2, V]), {}, NUMBER),

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 _SAME = 0.03  # [-] Largest difference of a leg from the turned next one, over the radius of the shafts.
+_ODD = 0.06  # [-] Least difference of a leg that is mentioned: points are measured with a ruler.
 _PER_RADIAN = 0.5  # [-] By which a difference of directions counts in this.
 _THIRD = np.array([[-0.5, -math.sqrt(0.75), 0.0], [math.sqrt(0.75), -0.5, 0.0], [0.0, 0.0, 1.0]])
 _CURES = {
@@ -54,9 +55,10 @@ def doubts(shafts: np.ndarray, joints: np.ndarray, others: Mapping[str, np.ndarr
     radius = _radius(shafts)
     result = []
     for leg, right in turned_legs(legs):
-        if leg is None:
+        off = {} if leg is None else {name: float(_off(legs[name][leg] - right[name], name, radius)) for name in legs}
+        name = max(off, key=off.__getitem__, default="")
+        if leg is None or off[name] < _ODD:
             continue
-        name = max(legs, key=lambda name: float(_off(legs[name][leg] - right[name], name, radius)))
         cure = _CURES.get(name, "a wrong sign, order or number?")
         given, expected = (_text(name, values) for values in (legs[name][leg], right[name]))
         result.append(f"the {name} of leg {leg} is {given}, by the pattern of the other legs {expected}: {cure}")
