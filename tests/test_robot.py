@@ -224,7 +224,7 @@ def test_a_mirrored_crank_has_a_warning_with_its_leg(tmp_path):
         RobotParameters.from_table(table(tmp_path / "b.csv", rows, header), **lengths)
     rows[1::2, 2] += 0.003
     with pytest.warns(
-        UserWarning, match=r"^the crank of leg . is level at 151 mm, of leg 2 at 156\.1: is this meant\?; .* leg 2 "
+        UserWarning, match=r"^the crank of leg . is level at 151 mm, of leg 2 at 156\.1: is this meant\? .* leg 2 "
     ):
         RobotParameters.from_table(table(tmp_path / "c.csv", rows, header), **lengths)
 

@@ -337,7 +337,8 @@ def _spread(levels: np.ndarray, rods: np.ndarray) -> list[str]:
     others, mm = np.delete(levels, leg), 1e3 * levels
     if np.ptp(others) > LEVEL_SPREAD * rods.min():
         low, high = int(mm.argmin()), int(mm.argmax())
-        return [f"the crank of leg {low} is level at {mm[low]:.4g} mm, of leg {high} at {mm[high]:.4g}: is this meant?"]
+        at = f"the crank of leg {low} is level at {mm[low]:.4g} mm, of leg {high} at {mm[high]:.4g}"
+        return [f"{at}: is this meant? if not, the crank of one is wrong, or angles are from another axis"]
     among = f"the others at {1e3 * others.min():.4g} to {1e3 * others.max():.4g}"
     return [f"the crank of leg {leg} is level at {mm[leg]:.4g} mm, {among}: is it mirrored, or a point of it wrong?"]
 
