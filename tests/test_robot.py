@@ -20,7 +20,7 @@ from stewart_drake.mechanics.dynamics import pose_acceleration_map, static_torqu
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.plant.model_files import mjcf_text, sdf_text
 from stewart_drake.references import HoldReference, SineReference
-from stewart_drake.robot import RobotParameters, geometry
+from stewart_drake.robot import RobotParameters, leg_table
 from stewart_drake.robot.leg import LegParameters
 from stewart_drake.robot.robot_files import load_robot, save_robot
 from stewart_drake.safety import SafetyOptions, safety_part
@@ -210,7 +210,7 @@ def test_a_partner_that_is_not_clear_is_asked_for(apart):
 def test_pairs_that_are_clear_are_found_whichever_row_is_first(first):
     angles = np.roll([-14, 14, 106, 134, 226, 254], -first)
     points = np.hstack([circle(angles, 0.07), circle(angles, 0.06)])
-    pairs = geometry.from_table(points, "m", "towards", {"crank_length": 0.01, "rod_length": 0.12}).pairs
+    pairs = leg_table.from_table(points, "m", "towards", {"crank_length": 0.01, "rod_length": 0.12}).pairs
     assert pairs == (((0, 1), (2, 3), (4, 5)) if first == 0 else ((0, 5), (1, 2), (3, 4)))
 
 
@@ -218,13 +218,13 @@ def test_a_mirrored_crank_has_a_warning_with_its_leg(tmp_path):
     header = f"{HEADER}, crank_x, crank_y, crank_z"
     lengths = {"crank_length": 0.025, "rod_length": 0.14}
     rows = np.column_stack([POINTS, HEXAPOD.crank_zero_directions])
-    assert geometry.from_table(table(tmp_path / "a.csv", rows, header), "m", "outwards", lengths).warning == ""
+    assert leg_table.from_table(table(tmp_path / "a.csv", rows, header), "m", "outwards", lengths).warning == ""
     rows[2, 6:] *= -1.0
     with pytest.warns(UserWarning, match=r"^the crank of leg 2 is level at 156\.1 mm, the others at 151 to 151: is it"):
         RobotParameters.from_table(table(tmp_path / "b.csv", rows, header), **lengths)
     rows[1::2, 2] += 0.003
     with pytest.warns(
-        UserWarning, match=r"^the crank of leg . is level at 151 mm, of leg 2 at 156\.1: is this meant\?$"
+        UserWarning, match=r"^the crank of leg . is level at 151 mm, of leg 2 at 156\.1: is this meant\? .* leg 2 "
     ):
         RobotParameters.from_table(table(tmp_path / "c.csv", rows, header), **lengths)
 
@@ -270,7 +270,7 @@ def swapped(one, other):
     ("make", "wanted"),
     [
         (lambda: RobotParameters.from_table(POINTS[:5], **LEG), r"6 rows, one per leg.*got \(5, 6\)"),
-        (lambda: RobotParameters.from_table(1e3 * NAMED, **LEG), r"rod_length of leg \d.*millimetres\?"),
+        (lambda: RobotParameters.from_table(1e3 * NAMED, **LEG), r"shaft of leg \d.* is the unit mm\?"),
         (lambda: RobotParameters.from_table(POINTS * [1, 1, 1, 1, -1, 1], **LEG), r"is an axis of P mirrored\?"),
         (lambda: RobotParameters.from_table(POINTS * [-1, 1, 1, 1, 1, 1], **LEG), r"is an axis of P mirrored\?"),
         # Told before the rods are: towards joints on the other side they seem too short.

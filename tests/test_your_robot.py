@@ -31,10 +31,11 @@ def test_the_page_takes_a_reader_from_points_to_a_controlled_robot(call, tmp_pat
         assert status == 0, (command, error)
         done.add(name)
     assert done == {"robots", "check", "run", "write-sdf", "write-mjcf"}
-    assert {"desk.yaml", "desk.png", "desk.sdf", "desk.xml"} <= {path.name for path in tmp_path.iterdir()}
+    assert {"desk.yaml", "desk.png", "legs.png", "desk.sdf", "desk.xml"} <= {path.name for path in tmp_path.iterdir()}
     robot = load_robot("desk.yaml")
     again = RobotParameters.from_table("points.csv", unit="mm", cranks="towards", crank_length=30, rod_length=180)
     np.testing.assert_array_equal(robot.platform_joints, again.platform_joints)
+    np.testing.assert_allclose(load_robot("again.yaml").platform_joints, robot.platform_joints, atol=1e-9)
     (tmp_path / "own.yaml").write_text(OWN)
     assert load_scenario("own.yaml").robot == robot
     assert call("check", "own.yaml")[0] == 0

@@ -55,6 +55,9 @@ COMMANDS = {
     "robots from-table": About(
         "robot", "points.csv --unit mm --set crank_length=30", "Make a robot from joint positions"
     ),
+    "robots from-urdf": About("robot", "platform.urdf", "Make a robot from a URDF file of yours"),
+    "robots from-sdf": About("robot", "platform.sdf", "Make a robot from an SDF file of yours"),
+    "robots from-mjcf": About("robot", "platform.xml", "Make a robot from an MJCF file of yours"),
     "write-sdf": About("robot", "mini.sdf --robot reachy_mini", "Write a robot as an SDF file, for Drake and others"),
     "write-mjcf": About("robot", "mini.xml --robot reachy_mini", "Write a robot as an MJCF file, for MuJoCo"),
     "collect": About("study", "", "Run the paper's nine experiments: the tuner's training data"),
@@ -207,6 +210,11 @@ OPTIONS: dict[str, Settings] = {
     "encoder_bits": option("Encoder resolution, bits per turn.", click.IntRange(4, 40), default=17),
     "force": switch("Replace the results of another scenario in the folder."),
     "hold": option("Do not estimate these parameters.", multiple=True),
+    "home": option(
+        "Home: where cranks are level, or perpendicular to the rods (perpendicular), or its height.",
+        default="level",
+        metavar="[level|perpendicular|HEIGHT]",
+    ),
     "keep_model": option("Start with the `model` in FILE, if it exists, and save the learnt one there.", OUT_FILE),
     "lag": option("Delay of the torques in a CSV file [s].", SECONDS, "--torque-lag", default=0.0),
     "out": option("Folder for results [default: runs/NAME].", PATH),

@@ -6,10 +6,12 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import click
 
+from stewart_drake.base.atomic_files import Document
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.yaml_files import parse_changes, to_yaml
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
@@ -17,8 +19,8 @@ from stewart_drake.cli.terminal import print_error, print_line, print_table, pro
 from stewart_drake.estimation import geometry, servos, torques
 from stewart_drake.hardware.servos import POSITION_PRESETS
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.geometry import Cranks, Unit
-from stewart_drake.robot.geometry import from_table as read_table
+from stewart_drake.robot.leg_table import Cranks, FromTable, Home, Unit
+from stewart_drake.robot.leg_table import from_table as read_table
 from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
 from stewart_drake.runs.outputs import check_ending, prepare_file, prepared_file, write_text
 from stewart_drake.scenario.scenario import Scenario, load_scenario
@@ -45,15 +47,20 @@ def robots() -> None:
     print_table("robots", rows, ("robot", "what it is", "size", "platform"), numbers=())
 
 
-@command("robots show", name={"metavar": "ROBOT"})
-def show(name: str, picture: Path | None) -> None:
+@command(
+    "robots show",
+    name={"metavar": "ROBOT"},
+    plot=opt.option("Draw its numbered legs, and where cranks turn: FILE.png.", opt.OUT_FILE, default=None),
+)
+def show(name: str, plot: Path | None, picture: Path | None) -> None:
     """ROBOT is a name or a YAML file."""
     from stewart_drake.analysis.robot_sheet import robot_sheets
 
     loaded = load_robot(name)
-    if picture is not None:
-        check_ending("--picture", picture, ".png")
-        prepare_file(picture)
+    for option, file in (("--plot", plot), ("--picture", picture)):
+        if file is not None:
+            check_ending(option, file, ".png")
+            prepare_file(file)
     for title, header, rows in robot_sheets(loaded):
         print_table(f"{name}: {title}", rows, header, numbers=())
     if picture is not None:
@@ -63,25 +70,69 @@ def show(name: str, picture: Path | None) -> None:
             size = {"width": 800, "height": 600, "passes": _PASSES}
             render_png(loaded, loaded.home_pose, picture, **size, progress=advance)
         print_line(f"picture in {picture}")
+    if plot is not None:
+        from stewart_drake.plotting.robot_plots import plot_robot
+
+        plot_robot(loaded, plot)
+        print_line(f"legs in {plot}")
 
 
 @command("robots from-table", out="robot.yaml", example="crank_length=0.025")
-def from_table(table: Path, unit: Unit, cranks: Cranks, overrides: tuple[str, ...], about: str, out: Path) -> None:
+def from_table(
+    table: Path, unit: Unit, cranks: Cranks, home: str, overrides: tuple[str, ...], about: str, out: Path
+) -> None:
     """TABLE is a CSV file with one row per leg: shaft_x, shaft_y, shaft_z, joint_x, joint_y, joint_z.
 
     In cylindrical coordinates about z: shaft_radius, shaft_deg, shaft_z, joint_radius, joint_deg, joint_z. Optional:
     crank_deg, pair, crank_length, rod_length.
     """
     parameters = parse_changes(overrides, "crank_length=0.025")
-    read = read_table(table, unit, cranks, parameters)
-    robot = RobotParameters(**read.parameters)
-    save_robot(robot, out, about)
-    print_line(f"robot in {out}: home at Z = {robot.home_height:.4g} m")
+    place: Home = "perpendicular" if home == "perpendicular" else "level"
+    if home not in get_args(Home):
+        try:
+            parameters["home_height"] = float(home)
+        except ValueError:
+            raise ConfigurationError("--home", home, "level, perpendicular, or a height") from None
+    read = read_table(table, unit, cranks, parameters, place)
     if read.pairs:
         print_line(f"pairs of motors: legs {', '.join(f'{one} and {other}' for one, other in read.pairs)}")
+    _save_read(read, parameters, about, out)
+
+
+def from_model(file: Path, motors: tuple[str, ...], overrides: tuple[str, ...], about: str, out: Path) -> None:
+    """FILE is an MJCF, SDF or URDF with six motors that turn cranks, each with a rod to one platform.
+
+    A rod ends in a joint or constraint, or its end has a frame that meets one of the platform. Shapes, friction and
+    damping are not read.
+    """
+    from stewart_drake.plant.foreign_robot import read_model
+
+    result = read_model(file, motors, parse_changes(overrides, "platform_mass=0.5"))
+    _save_read(result.read, result.given, about, out)
+    print_table("legs", result.motors, ("leg", "motor", "crank angle where the joint is at zero [deg]"))
+    for note in result.notes:
+        print_line(note)
+
+
+_MOTORS = opt.option(
+    "Joint of a motor, six times in the order of the legs [default: those on the base].",
+    flag="--motor",
+    multiple=True,
+    metavar="NAME",
+)
+for _kind in ("urdf", "sdf", "mjcf"):
+    command(f"robots from-{_kind}", out="robot.yaml", motors=_MOTORS, example="platform_mass=0.5")(from_model)
+
+
+def _save_read(read: FromTable, given: Document, about: str, out: Path) -> None:
+    """Writes a robot that was read, and prints what is doubtful or missing."""
     if read.warning:
         print_error(f"warning: {read.warning}")
-    missing = [f"{name} = {getattr(robot, name):g}" for name in _NOT_IN_TABLES if name not in parameters]
+    robot = RobotParameters(**read.parameters)
+    save_robot(robot, out, about)
+    size = f"shafts {1e3 * robot.base_radius:.4g} mm from the middle"
+    print_line(f"robot in {out}: home at Z = {robot.home_height:.4g} m, {size}")
+    missing = [f"{name} = {getattr(robot, name):g}" for name in _NOT_IN_TABLES if name not in given]
     if missing:
         print_line(f"taken from the paper's robot, because not given [kg, kg m^2, N m]: {', '.join(missing)}")
 

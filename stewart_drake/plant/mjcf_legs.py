@@ -7,7 +7,7 @@ and directions are in the world frame, in the configuration of the file.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import permutations
 from typing import NamedTuple
@@ -39,6 +39,12 @@ class Legs(NamedTuple):
     tips: np.ndarray  # (6, 3) [m] tips of the cranks.
     seats: np.ndarray  # (6, 3) [m] positions of the platform's joints.
     rod_lengths: np.ndarray  # (6,) [m]
+
+    def ordered(self, order: Sequence[int]) -> Legs:
+        """The legs in another order."""
+        motors, cranks = ([bodies[leg] for leg in order] for bodies in (self.motors, self.cranks))
+        points = (values[list(order)] for values in self[5:])
+        return Legs(motors, cranks, [self.rods[leg] for leg in order], self.platform, self.closures, *points)
 
 
 def connect_ends(model: mujoco.MjModel, data: mujoco.MjData, equality: int) -> list[tuple[int, np.ndarray]]:
@@ -88,11 +94,17 @@ class _FoundLeg(NamedTuple):
     length: float  # [m] of the bodies between.
 
 
-def find_legs(model: mujoco.MjModel, motors: Collection[int]) -> Legs | int:
-    """The six legs driven by `motors` (joints); if there are not six, the largest number of legs of a platform."""
+def find_legs(model: mujoco.MjModel, motors: Collection[int], *, welded: bool = False) -> Legs | int:
+    """The six legs driven by `motors` (joints); if there are not six, the largest number of legs of a platform.
+
+    With `welded` the bodies of a `weld` are one.
+    """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     root, driven = rigid_roots(model), {int(model.jnt_bodyid[joint]): joint for joint in motors}
+    for weld in np.flatnonzero((model.eq_type == int(mujoco.mjtEq.mjEQ_WELD)) & model.eq_active0 & welded).tolist():
+        one, other = (root[body] for body, _ in connect_ends(model, data, weld))
+        root[root == max(one, other)] = min(one, other)
     joints_of: dict[int, list[_PassiveJoint]] = {}
     for number, (equality, ends) in enumerate(_passive(model, data, driven)):
         for (body, near), (other, far) in (ends, ends[::-1]):

@@ -88,7 +88,7 @@ class MujocoOptions(MechanismOptions):
             return self.friction
         dry, viscous = self.motor_friction, self.motor_damping
         if self.model_file is not None and (dry is None or viscous is None):
-            file = _File(self)
+            file = ModelFile(self)
             dofs = file.model.jnt_dofadr[[joint.id for joint in file.motors]]
             dry = float(file.model.dof_frictionloss[dofs].max()) if dry is None else dry
             viscous = float(file.model.dof_damping[dofs].max()) if viscous is None else viscous
@@ -100,7 +100,7 @@ class MujocoOptions(MechanismOptions):
     def simulated(self, robot: RobotParameters) -> Simulated:
         if self.model_file is None:
             return {}, []
-        file = _File(self)
+        file = ModelFile(self)
         fit, model, legs, root = file.fit(robot), file.model, file.legs, file.mjcf_legs.rigid_roots(file.model)
         motors, passive = ([joint.id for joint in joints] for joints in (file.motors, file.passive))
         of_passive = np.isin(model.dof_jntid, passive)
@@ -143,18 +143,24 @@ def _path(given: str) -> Path:
     return Path(spec.submodule_search_locations[0]) / inside
 
 
-class _File:
-    """An MJCF model without all that the plant does not use: other joints, other equalities, actuators, geometry."""
+class ModelFile:
+    """An MJCF model without all that the plant does not use: other joints, other equalities, actuators, geometry.
 
-    def __init__(self, options: MujocoOptions, text: str = "") -> None:
+    A `lenient` one takes bodies that a weld holds for one, and without actuators the hinges on the base for motors.
+    """
+
+    def __init__(
+        self, options: MujocoOptions, text: str = "", spec: mujoco.MjSpec = None, *, lenient: bool = False
+    ) -> None:
         with installed_with("stewart-drake[mujoco]"):
             import mujoco
         from stewart_drake.plant import mjcf_legs
 
         self.mujoco, self.mjcf_legs, self.name = mujoco, mjcf_legs, options.model_file or ""
-        path = None if text else check_file(_path(self.name), f"{_KEY} {self.name}", _MAX_BYTES)
+        path = None if text or spec else check_file(_path(self.name), f"{_KEY} {self.name}", _MAX_BYTES)
         with self.reading():
-            self.spec = spec = mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(path))
+            spec = spec or (mujoco.MjSpec.from_string(text) if text else mujoco.MjSpec.from_file(str(path)))
+            self.spec = spec
             self._strip()
             model = spec.compile()
         names, known = options.motor_joints, [joint.name for joint in spec.joints]
@@ -164,7 +170,13 @@ class _File:
                 raise ConfigurationError("plant.motor_joints", name, allowed)
         hinges = np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE).tolist()
         is_motor = (lambda joint: known[joint] in names) if names else partial(self._actuators, model)
-        legs = mjcf_legs.find_legs(model, [joint for joint in hinges if is_motor(joint)])
+        legs = mjcf_legs.find_legs(model, [joint for joint in hinges if is_motor(joint)], welded=lenient)
+        if isinstance(legs, int) and lenient and not names:
+            # Without actuators, the hinges on the base: the body with most of them.
+            bodies = mjcf_legs.rigid_roots(model)[model.body_parentid[model.jnt_bodyid[hinges]]].tolist()
+            base = max(bodies, key=bodies.count, default=0)
+            on_base = [joint for joint, body in zip(hinges, bodies, strict=True) if body == base]
+            legs = mjcf_legs.find_legs(model, on_base, welded=lenient)
         if isinstance(legs, int):
             allowed = f"a model in which six motors each turn a crank with a rod to one platform, not {legs}"
             hint = "a motor is a hinge with an actuator, or one of plant.motor_joints"
@@ -246,7 +258,7 @@ class MujocoPlant:
     """An MJCF model as a `Plant`; motor torques are limited to the model's force ranges."""
 
     def __init__(self, robot: RobotParameters, options: MujocoOptions, gravity: float) -> None:
-        file = _File(options, mjcf_text(robot, gravity, options) if options.model_file is None else "")
+        file = ModelFile(options, mjcf_text(robot, gravity, options) if options.model_file is None else "")
         self._mujoco, self._mjcf_legs, fit = file.mujoco, file.mjcf_legs, file.fit(robot)
         self._robot, self._home, (self._base, self._origin) = robot, home_frames(robot), fit.base
         site, body = self._add_platform(file, fit.platform, options)
@@ -276,7 +288,7 @@ class MujocoPlant:
         self._integrate: Callable[..., None] = moves.get(int(model.opt.integrator), self._mujoco.mj_implicit)
 
     def _add_platform(
-        self, file: _File, frame: tuple[np.ndarray, np.ndarray], options: MujocoOptions
+        self, file: ModelFile, frame: tuple[np.ndarray, np.ndarray], options: MujocoOptions
     ) -> tuple[mujoco.MjsSite, mujoco.MjsBody]:
         """Adds site P to a model, and the payload to its body; returns both."""
         data, quaternion, (rotation, place) = self._mujoco.MjData(file.model), np.empty(4), frame

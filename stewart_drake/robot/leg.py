@@ -17,14 +17,16 @@ SMALLEST_SIZE, LARGEST_SIZE = 1e-12, 1e6
 """Limits of sizes, masses and inertias in SI units: beyond them are typing errors, and squares that overflow."""
 DIRECTION_TOLERANCE = 1e-6
 """By which directions may differ from unit vectors, and from perpendicular ones; the rest is corrected."""
+MOST = 30.0
+"""[m] largest length and coordinate."""
 JOINT_SWING = math.radians(65.0)
 """[rad] largest swing of a rod from home that joints allow; assumed, the paper's motion needs 63.1 deg."""
 Size = Annotated[Real, Field(ge=SMALLEST_SIZE, le=LARGEST_SIZE)]
 Length = Annotated[
-    Real, Field(ge=SMALLEST_SIZE, le=30.0), with_message("a length above 0 and at most 30 m; in millimetres?")
+    Real, Field(ge=SMALLEST_SIZE, le=MOST), with_message("a length above 0 and at most 30 m; in millimetres?")
 ]
 """[m]"""
-Coordinate = Annotated[Real, Field(ge=-30.0, le=30.0)]
+Coordinate = Annotated[Real, Field(ge=-MOST, le=MOST)]
 """[m]"""
 Position = tuple[Coordinate, Coordinate, Coordinate]
 Signed = Annotated[Real, Field(ge=-LARGEST_SIZE, le=LARGEST_SIZE)]

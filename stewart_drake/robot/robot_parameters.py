@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from stewart_drake.base.config import Section
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.robot.geometry import Cranks, Unit, check_geometry, from_table
+from stewart_drake.robot.geometry import check_geometry
 from stewart_drake.robot.leg import (
     LEG_COUNT,
     Branch,
@@ -27,6 +27,7 @@ from stewart_drake.robot.leg import (
     Size,
     Size3,
 )
+from stewart_drake.robot.leg_table import Cranks, Home, Unit, from_table
 
 _PAIR_ANGLES = np.arange(LEG_COUNT) // 2 * (2.0 * math.pi / 3.0)
 """(6,) [rad] directions c_k of the legs' pairs."""
@@ -162,11 +163,17 @@ class RobotParameters(Section, key="robot"):
 
     @classmethod
     def from_table(
-        cls, table: str | Path | ArrayLike, *, unit: Unit = "m", cranks: Cranks = "outwards", **parameters: object
+        cls,
+        table: str | Path | ArrayLike,
+        *,
+        unit: Unit = "m",
+        cranks: Cranks = "outwards",
+        home: Home = "level",
+        **parameters: object,
     ) -> RobotParameters:
-        """A robot from measured positions, a row per leg; for missing parameters see `geometry.from_table`.
+        """A robot from measured positions, a row per leg; for missing parameters see `leg_table.from_table`.
 
-        A warning names a leg whose crank is level at another platform height than the others.
+        A warning names a leg that breaks the pattern of the others, or has an unlikely size.
 
         Args:
             table: Path of a CSV file, or an array (6, 6) of motor shafts in B and platform joints in P; in a seventh
@@ -174,12 +181,13 @@ class RobotParameters(Section, key="robot"):
             unit: Of all lengths in the table and in `parameters`: m, mm, cm or in.
             cranks: Direction of level cranks, if not in the table: outwards from the centre; towards the other motor of
                 the pair; away from it; or tangential to the circle about the centre, and away from it.
+            home: Without a `home_height`, where the cranks are level, or perpendicular to the rods.
             **parameters: Keys of this class.
 
         Raises:
             ConfigurationError: As for the class; a table with too few rows, columns or numbers.
         """
-        result = from_table(table, unit, cranks, parameters)
+        result = from_table(table, unit, cranks, parameters, home)
         if result.warning:
             warnings.warn(result.warning, stacklevel=2)
         return cls(**result.parameters)

@@ -1,6 +1,7 @@
 """The commands `robots`, `write-sdf`, `write-mjcf`, `calibrate`, `identify` and `excite`."""
 
 import csv
+import re
 import sys
 from pathlib import Path
 
@@ -38,8 +39,8 @@ def test_a_robot_from_a_table_is_kept_and_comes_back(call, tmp_path):
     status, out, _ = call("robots", *arguments, "--set", "rod_length=180", "--about", "mine", "--out", "mine.yaml")
     assert status == 0
     first, second, *_ = out.splitlines()
-    assert first == "robot in mine.yaml: home at Z = 0.2002 m"
-    assert second == "pairs of motors: legs 0 and 1, 2 and 3, 4 and 5"
+    assert first == "pairs of motors: legs 0 and 1, 2 and 3, 4 and 5"
+    assert second == "robot in mine.yaml: home at Z = 0.2002 m, shafts 110.2 mm from the middle"
     assert "because not given [kg, kg m^2, N m]: platform_mass = 1" in out
     assert load_robot("mine.yaml").rod_lengths.tolist() == [0.18] * 6
     assert (tmp_path / "mine.yaml").read_text().startswith("about: mine\n")
@@ -63,6 +64,35 @@ def test_a_robot_goes_into_files_for_other_programs(call, tmp_path):
     assert (model.nu, model.neq, model.nv) == (6, 6, 24)
     assert model.joint("motor_3").damping == 0.1
     assert "<model name=" in (tmp_path / "robot.sdf").read_text()
+
+
+def test_a_robot_from_a_model_file_is_drawn(call, tmp_path):
+    assert call("write-sdf", "robot.sdf", "--robot", "servo_hexapod")[0] == 0
+    status, out, err = call("robots", "from-sdf", "robot.sdf", "--out", "made.yaml")
+    assert (status, err) == (0, "")
+    assert re.search(r"motor_5 +. +-0\.06", out)
+    assert "not read: 42 pictures, 30 collision shapes" in out
+    status, out, _ = call("robots", "show", "made.yaml", "--plot", "legs.png")
+    assert (status, out.splitlines()[-1]) == (0, "legs in legs.png")
+    assert (tmp_path / "legs.png").stat().st_size > 20_000
+    status, _, err = call("robots", "from-urdf", "made.yaml")
+    assert (status, err.count("\n")) == (2, 1)
+    assert "model made.yaml: expected a file of URDF, SDF, MJCF, got" in err
+
+
+def test_home_by_a_height_or_perpendicular_rods(call, tmp_path):
+    (tmp_path / "points.csv").write_text((DOCS / "your_robot.csv").read_text())
+    lengths = ("--set", "crank_length=30", "--set", "rod_length=180", "--out", "mine.yaml")
+    arguments = ("robots", "from-table", "points.csv", "--unit", "mm", "--cranks", "towards", *lengths)
+    for home, height in (("perpendicular", None), ("195", 0.195)):
+        status, _, err = call(*arguments, "--home", home)
+        assert (status, err) == (0, "")
+        robot = load_robot("mine.yaml")
+        apart = np.linalg.norm((robot.shaft_positions - robot.joints_in_platform)[:, :2], axis=-1)
+        wanted = np.mean(0.035 + np.sqrt(0.18**2 + 0.03**2 - apart**2)) if height is None else height
+        assert robot.home_height == pytest.approx(wanted, abs=1e-12)
+    status, _, err = call(*arguments, "--home", "flat")
+    assert (status, err) == (2, "stewart-drake: --home: expected level, perpendicular, or a height, got 'flat'\n")
 
 
 @pytest.mark.slow
