@@ -30,6 +30,7 @@ _PULL_LENGTH = 0.15  # [characteristic lengths] stretch of a spring at its large
 _FORCE_SHARE = 0.2  # Largest force or moment of a spring, as a share of the result of `largest`.
 _PULL_ANGLE = 0.3  # [rad] turn of a spring at its largest moment.
 _STEP_DURATION = 2.0  # [s]
+_DRAWN = 2000
 _PERIODS = 3  # Evaluated periods of a sine, after one that is left out.
 _RECORDED = 120.0  # [s] that a recorder keeps.
 _RECORD_PERIOD = 0.001  # [s]
@@ -223,6 +224,14 @@ class TestMotion:
         if time - self.start >= self.duration:
             self.result = self._sentence()
 
+    def curves(self) -> dict[str, object]:
+        """Time from the start [s], reference and response [rad, m] of the coordinate, in up to `_DRAWN` rows."""
+        count = len(self.values)
+        rows = range(0, count, 1 + count // _DRAWN)
+        reference = [float(self.added(self.start + self.times[row])[self.axis]) for row in rows]
+        response = [self.size * self.values[row] for row in rows]
+        return {"time": [self.times[row] for row in rows], "reference": reference, "response": response}
+
     def _sentence(self) -> str:
         t, y = np.array(self.times), np.array(self.values)
         size = f"{SCALES[self.axis] * self.size:.2g} {DISPLAY_UNITS[self.axis]}"
@@ -237,7 +246,7 @@ class TestMotion:
         last = t >= t[-1] - _PERIODS / frequency
         ratio, _ = sine_response(t[last], np.sin(self.frequency * t[last]), y[last], frequency)
         phase = math.degrees(cmath.phase(ratio))
-        return f"{what}, {frequency:.3g} Hz: gain {abs(ratio):.3f}, phase {phase:.1f} deg"
+        return f"{what}, {frequency:.3g} Hz: gain {abs(ratio):.3f}, phase {phase:z.1f} deg"
 
 
 # --- recording ---

@@ -5,21 +5,53 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from copy import deepcopy
+from typing import NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.errors import one_line
+from stewart_drake.base.errors import RunFailure, SafetyStop, one_line
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.live.instrument import Push, Recorder, Spring, TestMotion, TurningSpring
 from stewart_drake.live.steering import GOVERNOR_PERIOD, HandReference, Reached
 from stewart_drake.plant.plant_options import ANGLES
-from stewart_drake.safety import Stillness
+from stewart_drake.safety import MONITORS, Stillness
+from stewart_drake.safety.limits import LIMITS
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 PULL_RESOLUTION = 0.02  # Share of the largest force; a smaller change of a pull is not recorded.
+
+
+class Cause(NamedTuple):
+    """What ended a loop: its reason, when and where, and the limit that was passed, if any."""
+
+    reason: str
+    time: float  # [s]
+    leg: int | None
+    limit: str = ""
+    position_m: float | None = None
+    rotation_deg: float | None = None
+    torque: float | None = None  # [N m]
+
+
+def cause_of(failure: RunFailure, scenario: Scenario, time: float) -> Cause:
+    """The cause of a failure at a time [s]: the safety layer's is what made it take over, some time before."""
+    safety, trip = scenario.safety, failure.trip if isinstance(failure, SafetyStop) else None
+    if safety is None or trip is None:
+        return Cause(failure.reason, failure.time or time, failure.leg)
+    trip = trip["stopped"] or trip
+    monitor, leg = trip["monitor"], trip["leg"]
+    key = {MONITORS[number]: key for number, key, _ in LIMITS}.get(monitor, monitor)
+    value = getattr(safety, key, None)
+    unit = f" [{safety.unit_of(key)}]" if safety.unit_of(key) else ""
+    cause = Cause(monitor, trip["time"], leg, f"limit: safety.{key} = {value}{unit}" if value else "")
+    if key == "following_error":
+        return cause._replace(rotation_deg=math.degrees(value[0]), position_m=value[1])
+    if key == "torque_limit" and leg is not None:
+        return cause._replace(torque=value * float(scenario.robot.effort_limits[leg]))
+    return cause
 
 
 class LiveLoop:
@@ -31,6 +63,7 @@ class LiveLoop:
     Attributes:
         reference: Pose set by hand, with the motion of the scenario about it.
         ended: Reason why the loop cannot go on; empty while it can.
+        cause: What ended it; None while it can go on.
         spring: Pulls or turns the platform; may be None.
         test: Motion that is added to the reference; may be None.
         record: Recorder of motion, pushes and changes.
@@ -45,6 +78,7 @@ class LiveLoop:
         """Back to the beginning."""
         scenario = self._initial
         self.ended, self._push, self._push_ends = "", np.zeros(6), -1
+        self.cause: Cause | None = None
         self.spring: Spring | TurningSpring | None = None
         self.test: TestMotion | None = None
         self._pulled: Push | None = None
@@ -91,7 +125,8 @@ class LiveLoop:
             for _ in range(steps if not self.ended else 0):
                 self._advance_one()
         except (Exception, SystemExit) as error:  # The page stays open, so that a person can reset.
-            self.ended = one_line(failure_of(error, self.scenario))
+            failure = failure_of(error, self.scenario)
+            self.cause, self.ended = cause_of(failure, self.scenario, self.time), one_line(failure)
 
     def _advance_one(self) -> None:
         self._record_pull()

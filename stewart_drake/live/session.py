@@ -29,6 +29,7 @@ from stewart_drake.live.instrument import (
     turning_spring,
 )
 from stewart_drake.live.loop import LiveLoop
+from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.outputs import new_run_folder
@@ -95,6 +96,10 @@ class PageSession:
             self.message = one_line(error)
         except Exception as error:  # Whatever a page sends, the loop goes on.
             self.message = f"not understood: {one_line(error)}"
+
+    def curves(self) -> PageRow:
+        """Curves of the latest test; called by other threads."""
+        return {}
 
     def publish(self, row: PageRow) -> None:
         """Publishes a row to the pages."""
@@ -219,13 +224,28 @@ class LiveSession(PageSession):
             self.ghost, self._ghost_name = self.loop.copy_with({**self._scenario_choice, **CONTROLLERS[name]}), name
 
     def _begin_test(self, command: Command) -> None:
-        axis, robot = COORDINATES.index(command["axis"]), self.loop.scenario.robot
-        size = 0.01 * (1.0 if axis < 3 else robot.characteristic_length)
+        axis, loop = COORDINATES.index(command["axis"]), self.loop
+        size = _number(command.get("size", test_sizes(loop.scenario.robot)[axis]))
+        shift = size * np.eye(6)[axis]
+        for ends in (shift,) if command["kind"] == "step" else (shift, -shift):
+            reached = loop.reference.reach(loop.scenario, loop.reference.goal + ends)
+            if size == 0.0 or reached.limit:
+                most, unit = float(abs(reached.pose - loop.reference.goal)[axis]), DISPLAY_UNITS[axis]
+                given, most = (f"{SCALES[axis] * value:.3g} {unit}" for value in (size, most))
+                raise ConfigurationError("amplitude", given, f"another than 0, at most {most} here; {reached.limit}")
         frequency = min(max(_number(command.get("frequency", 1.0)), 0.2), 20.0)
         kind = "step" if command["kind"] == "step" else "sine"
         self._for_all(lambda loop: setattr(loop, "test", TestMotion(kind, axis, size, frequency, loop.time)))
         at = f", {frequency:g} Hz" if kind == "sine" else ""
         self._test = f"{kind} of {COORDINATES[axis]}{at}: under way"
+
+    def curves(self) -> PageRow:
+        """Axis, reference and response of the latest test, and the response of the second robot."""
+        test, pale = self.loop.test, None if self.ghost is None else self.ghost.test
+        if test is None:
+            return {}
+        beside = None if pale is None else pale.curves()["response"]
+        return {"axis": test.axis, "beside": beside, **test.curves()}
 
     def _one_tick(self, _: Command) -> None:
         self.paused = True
@@ -306,8 +326,14 @@ class LiveSession(PageSession):
             "test": self._test,
             "knobs": self._knob_rows(),
             "ended": loop.ended,
+            "cause": None if loop.cause is None else loop.cause._asdict(),
             "message": self.message if (still := loop.stillness.latest) is None else standstill_text(*still),
         }
+
+
+def test_sizes(robot: RobotParameters) -> list[float]:
+    """(6,) [rad, m] usual amplitude of a test."""
+    return [0.01] * 3 + [0.01 * robot.characteristic_length] * 3
 
 
 def drawn(robot: RobotParameters, wanted: np.ndarray, *robots: tuple[np.ndarray, np.ndarray]) -> PageRow:

@@ -181,6 +181,45 @@ def test_a_step_and_a_sine_give_their_figures_of_both_robots():
     assert len(live.row()["links"]) == 7 * 14
 
 
+def test_the_curves_of_a_step_are_those_of_both_robots_and_begin_with_it():
+    live = session()
+    assert live.curves() == {}
+    live.loop.advance(200)
+    do(live, do="ghost", controller="PID of each motor")
+    do(live, do="test", kind="step", axis="yaw", size=0.004)
+    live._for_all(lambda loop: loop.advance(2100))
+    curves = live.curves()
+    time, response, beside = (np.array(curves[name]) for name in ("time", "response", "beside"))
+    assert curves["axis"] == 2
+    assert set(curves["reference"]) == {0.004}
+    assert time[0] < 0.002
+    assert abs(response[0]) < 1e-4
+    assert response[-1] == pytest.approx(0.004, rel=1e-2)
+    assert np.abs(beside - response).max() > 1e-4
+
+
+@pytest.mark.parametrize("size", [0.0, 0.5, -0.5])
+def test_a_test_that_cannot_be_done_is_refused(size):
+    live = session()
+    do(live, do="test", kind="sine", axis="Z", size=size)
+    assert live.loop.test is None
+    assert live.message.startswith("amplitude: expected another than 0, at most ")
+
+
+def test_the_cause_of_an_end_has_its_leg_limit_and_time():
+    live = session()
+    live.loop.advance(500)
+    assert live.row()["cause"] is None
+    do(live, do="dead", leg=4)
+    live.loop.advance(2000)
+    cause = live.row()["cause"]
+    assert (cause["reason"], cause["leg"]) == ("unexplained_torque", 4)
+    assert cause["limit"] == "limit: safety.unexplained_torque = 0.2"
+    assert 0.5 < cause["time"] < live.loop.time
+    do(live, do="reset")
+    assert live.row()["cause"] is None
+
+
 def test_a_sine_of_a_loop_of_first_order_has_its_gain_and_phase():
     probe, tau = TestMotion("sine", 5, 0.001, 2.0, 0.0), 0.05
     times, value = np.arange(0.0, 2.2, 1e-4), 0.0
