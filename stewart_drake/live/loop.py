@@ -47,10 +47,11 @@ def cause_of(failure: RunFailure, scenario: Scenario, time: float) -> Cause:
     value = getattr(safety, key, None)
     unit = f" [{safety.unit_of(key)}]" if safety.unit_of(key) else ""
     cause = Cause(monitor, trip["time"], leg, f"limit: safety.{key} = {value}{unit}" if value else "")
-    if key == "following_error":
-        return cause._replace(rotation_deg=math.degrees(value[0]), position_m=value[1])
-    if key == "torque_limit" and leg is not None:
-        return cause._replace(torque=value * float(scenario.robot.effort_limits[leg]))
+    if key == "following_error" and safety.following_error is not None:
+        rotation, position = safety.following_error
+        return cause._replace(rotation_deg=math.degrees(rotation), position_m=position)
+    if key == "torque_limit" and leg is not None and safety.torque_limit is not None:
+        return cause._replace(torque=safety.torque_limit * float(scenario.robot.effort_limits[leg]))
     return cause
 
 

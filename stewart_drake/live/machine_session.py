@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -64,7 +65,8 @@ class MachineSession(PageSession):
 
     def log(self, reason: RunFailure | KeyboardInterrupt | None) -> SimulationLog:
         """The log of the last `LOGGED` s, after the end."""
-        return self._drive.log(reason)
+        log = self._drive.log(reason)
+        return replace(log, scenario=log.scenario.replace(duration=max(log.end_time, self.scenario.reading_period)))
 
     def _advance(self, now: float) -> None:
         elapsed = self._motion.motion_time(now)

@@ -230,8 +230,8 @@ class LiveSession(PageSession):
         for ends in (shift,) if command["kind"] == "step" else (shift, -shift):
             reached = loop.reference.reach(loop.scenario, loop.reference.goal + ends)
             if size == 0.0 or reached.limit:
-                most, unit = float(abs(reached.pose - loop.reference.goal)[axis]), DISPLAY_UNITS[axis]
-                given, most = (f"{SCALES[axis] * value:.3g} {unit}" for value in (size, most))
+                reach = float(abs(reached.pose - loop.reference.goal)[axis])
+                given, most = (f"{SCALES[axis] * value:.3g} {DISPLAY_UNITS[axis]}" for value in (size, reach))
                 raise ConfigurationError("amplitude", given, f"another than 0, at most {most} here; {reached.limit}")
         frequency = min(max(_number(command.get("frequency", 1.0)), 0.2), 20.0)
         kind = "step" if command["kind"] == "step" else "sine"

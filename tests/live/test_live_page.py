@@ -347,7 +347,9 @@ def test_the_second_robot_is_in_the_plots(page):
 def test_a_step_is_asked_for_and_its_figures_and_curves_are_shown(page):
     page.fill("#test-size", "2")
     page.click("#test-step")
-    wait(page, "document.querySelector('.test .u-title')?.textContent.startsWith('change of Z; step of Z, 2 mm: rise ')")
+    wait(
+        page, "document.querySelector('.test .u-title')?.textContent.startsWith('change of Z; step of Z, 2 mm: rise ')"
+    )
     assert page.inner_text("#test-result").startswith("rise ")
 
 

@@ -104,6 +104,7 @@ def test_a_motion_is_played_again_when_it_is_switched_on_again_and_all_is_logged
     log = session.log(why)
     assert log.status == "interrupted"
     assert len(log.time) == len(machine.commands)
+    assert log.scenario.duration == log.end_time
 
     def moved(first, last):
         return np.ptp(log["reading"][first:last], axis=0).max()
