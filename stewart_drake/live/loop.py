@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from copy import deepcopy
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,35 +23,15 @@ from stewart_drake.scenario.stepped_loop import SteppedLoop
 PULL_RESOLUTION = 0.02  # Share of the largest force; a smaller change of a pull is not recorded.
 
 
-class Cause(NamedTuple):
-    """What ended a loop: its reason, when and where, and the limit that was passed, if any."""
-
-    reason: str
-    time: float  # [s]
-    leg: int | None
-    limit: str = ""
-    position_m: float | None = None
-    rotation_deg: float | None = None
-    torque: float | None = None  # [N m]
-
-
-def cause_of(failure: RunFailure, scenario: Scenario, time: float) -> Cause:
-    """The cause of a failure at a time [s]: the safety layer's is what made it take over, some time before."""
+def cause_of(failure: RunFailure, scenario: Scenario, time: float) -> dict[str, object]:
+    """What ended a loop at a time [s], and where; a trip of the safety layer came before, with the key of its limit."""
     safety, trip = scenario.safety, failure.trip if isinstance(failure, SafetyStop) else None
     if safety is None or trip is None:
-        return Cause(failure.reason, failure.time or time, failure.leg)
+        return {"reason": failure.reason, "time": failure.time or time, "leg": failure.leg}
     trip = trip["stopped"] or trip
-    monitor, leg = trip["monitor"], trip["leg"]
-    key = {MONITORS[number]: key for number, key, _ in LIMITS}.get(monitor, monitor)
-    value = getattr(safety, key, None)
-    unit = f" [{safety.unit_of(key)}]" if safety.unit_of(key) else ""
-    cause = Cause(monitor, trip["time"], leg, f"limit: safety.{key} = {value}{unit}" if value else "")
-    if key == "following_error" and safety.following_error is not None:
-        rotation, position = safety.following_error
-        return cause._replace(rotation_deg=math.degrees(rotation), position_m=position)
-    if key == "torque_limit" and leg is not None and safety.torque_limit is not None:
-        return cause._replace(torque=safety.torque_limit * float(scenario.robot.effort_limits[leg]))
-    return cause
+    key = {MONITORS[number]: key for number, key, _ in LIMITS}.get(trip["monitor"], trip["monitor"])
+    limit = {"key": key, "unit": safety.unit_of(key), "limit": np.ravel(getattr(safety, key, ()))}
+    return {"reason": trip["monitor"], "time": trip["time"], "leg": trip["leg"], **limit}
 
 
 class LiveLoop:
@@ -79,7 +58,7 @@ class LiveLoop:
         """Back to the beginning."""
         scenario = self._initial
         self.ended, self._push, self._push_ends = "", np.zeros(6), -1
-        self.cause: Cause | None = None
+        self.cause: dict[str, object] | None = None
         self.spring: Spring | TurningSpring | None = None
         self.test: TestMotion | None = None
         self._pulled: Push | None = None

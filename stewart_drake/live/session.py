@@ -225,7 +225,7 @@ class LiveSession(PageSession):
 
     def _begin_test(self, command: Command) -> None:
         axis, loop = COORDINATES.index(command["axis"]), self.loop
-        size = _number(command.get("size", test_sizes(loop.scenario.robot)[axis]))
+        size = _number(command["size"])
         shift = size * np.eye(6)[axis]
         for ends in (shift,) if command["kind"] == "step" else (shift, -shift):
             reached = loop.reference.reach(loop.scenario, loop.reference.goal + ends)
@@ -326,14 +326,9 @@ class LiveSession(PageSession):
             "test": self._test,
             "knobs": self._knob_rows(),
             "ended": loop.ended,
-            "cause": None if loop.cause is None else loop.cause._asdict(),
+            "cause": loop.cause,
             "message": self.message if (still := loop.stillness.latest) is None else standstill_text(*still),
         }
-
-
-def test_sizes(robot: RobotParameters) -> list[float]:
-    """(6,) [rad, m] usual amplitude of a test."""
-    return [0.01] * 3 + [0.01 * robot.characteristic_length] * 3
 
 
 def drawn(robot: RobotParameters, wanted: np.ndarray, *robots: tuple[np.ndarray, np.ndarray]) -> PageRow:

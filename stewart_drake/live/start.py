@@ -10,7 +10,7 @@ from stewart_drake.live.instrument import FORCE, largest
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.machine_session import MachineSession
 from stewart_drake.live.server import LiveServer
-from stewart_drake.live.session import CONTROLLERS, LiveSession, PageRow, test_sizes
+from stewart_drake.live.session import CONTROLLERS, LiveSession, PageRow
 from stewart_drake.live.steering import REACH, nearest_allowed
 from stewart_drake.machines.machine import Machine
 from stewart_drake.runs.drive import Start
@@ -45,7 +45,8 @@ def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> Pa
         "home": home.tolist(),
         "room": _room(scenario, home).tolist(),
         "payload_most": max(float(f"{0.5 * robot.platform_mass:.1g}"), scenario.plant.payload_mass),
-        "test_sizes": test_sizes(robot),
+        "test_sizes": [0.01] * 3 + [0.01 * robot.characteristic_length] * 3,
+        "effort_limits": robot.effort_limits.tolist(),
         "force_most": largest(robot, scenario.gravity, FORCE),
         "encoders": scenario.sensors.reading == "angles",
         "may_fail": "dead" in scenario.motors.to_dict(),

@@ -131,7 +131,8 @@ function showCause(cause) {
   at("cause").hidden = !cause;
   at("leg-label").hidden = !cause || cause.leg === null;
   if (!cause) return view.mark([]);
-  at("cause").replaceChildren(...[`at ${cause.time.toFixed(3)} s: ${cause.reason.replaceAll("_", " ")}${cause.leg === null ? "" : ` of leg ${cause.leg}`}`, cause.limit]
+  at("cause").replaceChildren(...[`at ${cause.time.toFixed(3)} s: ${cause.reason.replaceAll("_", " ")}${cause.leg === null ? "" : ` of leg ${cause.leg}`}`,
+    cause.limit?.length && `limit: safety.${cause.key} = ${cause.limit.join(", ")}${cause.unit && ` [${cause.unit}]`}`]
     .filter(Boolean).map((text) => Object.assign(document.createElement("p"), { textContent: text })));
   at("leg-label").textContent = `leg ${cause.leg}`;
   if (cause.leg === null) view.mark(["platform"]);
@@ -303,9 +304,9 @@ async function begin() {
     });
   };
 
-  traces.error.plot.limit = ({ position_m }) => position_m;
-  traces.angle.plot.limit = ({ rotation_deg }) => rotation_deg;
-  traces.torque.plot.limit = ({ torque }) => torque;
+  traces.angle.plot.limit = ({ key, limit }) => (key === "following_error" ? limit[0] * 180 / Math.PI : null);
+  traces.error.plot.limit = ({ key, limit }) => (key === "following_error" ? limit[1] : null);
+  traces.torque.plot.limit = ({ key, limit, leg }) => (key === "torque_limit" && leg !== null ? limit[0] * about.effort_limits[leg] : null);
   const test = new TestPlot();
   let stale = true, ghost, events, caused = null;
   const listen = () => {

@@ -34,9 +34,8 @@ def plot_sweep(rows: Rows, varied: Mapping[str, str]) -> Figure:
 
     `varied`: column -> label of its axis.
     """
-    columns = min(3, len(varied))
-    lines = -(-len(varied) // columns)
-    figure, axes = look.panels(lines, columns, 0.6 + 2.9 * lines, sharey=True)
+    title = f"RMSE of the position; a mark is one of {len(rows)} runs, with its own seed"
+    figure, axes = _panels(title, len(varied), 3, 0.6, 2.9, sharey=True)
     completed, failed = ([row for row in rows if _completed(row) is status] for status in (True, False))
     errors = np.array([_rmse(row) for row in completed] or [1.0])
     wide = _is_wide(errors)
@@ -51,11 +50,8 @@ def plot_sweep(rows: Rows, varied: Mapping[str, str]) -> Figure:
             panel.set_ylim(None, 1.3 * top)
         else:
             panel.set_ylim(0.0, 1.05 * top)
-    for panel in axes.flat[len(varied) :]:
-        panel.set_axis_off()
     for panel in axes[:, 0]:
         panel.set_ylabel("RMSE [mm]")
-    _title(figure, f"RMSE of the position; a mark is one of {len(rows)} runs, with its own seed")
     if failed:
         look.legend_below(figure, [Line2D([], [], color=look.ORANGE, label="not completed", **_CROSS)])
     return figure
@@ -75,7 +71,8 @@ def plot_map(rows: Rows, varied: Mapping[str, str]) -> Figure:
     for (j, i), _ in np.ndenumerate(cells):
         cell = [row for row in rows if (row[keys[0]], row[keys[1]]) == (across[i], up[j]) and _completed(row)]
         cells[j, i] = np.median([_rmse(row) for row in cell]) if cell else np.nan
-    figure, ((panel,),) = look.panels(1, 1, 5.0, width=6.5)
+    several = _runs(rows, keys, "; median of {} runs, each with its own seed")
+    figure, ((panel,),) = _panels(f"RMSE of the position{several}", 1, 1, 0.0, 5.0, width=6.5)
     image = panel.imshow(cells, origin="lower", aspect="auto", cmap="viridis")
     panel.set_facecolor(look.GREY)
     panel.grid(visible=False)
@@ -87,7 +84,6 @@ def plot_map(rows: Rows, varied: Mapping[str, str]) -> Figure:
     panel.set_yticks(range(len(up)), [_tick_label(value) for value in up])
     panel.set(xlabel=varied[keys[0]], ylabel=varied[keys[1]])
     figure.colorbar(image, label="RMSE [mm]")
-    _title(figure, "RMSE of the position" + _runs(rows, keys, "; median of {} runs, each with its own seed"))
     return figure
 
 
@@ -96,10 +92,9 @@ def plot_rmse(rows: Rows) -> Figure:
     """RMSE of the position by reference and controller, with a panel per condition; failures at the right edge."""
     styles = _styles(rows)
     conditions, references = (list(dict.fromkeys(row[name] for row in rows)) for name in ("condition", "reference"))
-    columns = min(3, len(conditions))
-    lines = -(-len(conditions) // columns)
-    height = 1.4 + lines * (0.6 + 0.13 * max(3, len(styles)) * len(references))
-    figure, axes = look.panels(lines, columns, height, sharex=True, sharey=True)
+    several = _runs(rows, ("controller", "reference", "condition"), "; a mark is one of {} seeds of the noise")
+    height = 0.6 + 0.13 * max(3, len(styles)) * len(references)
+    figure, axes = _panels(f"RMSE of the position{several}", len(conditions), 3, 1.4, height, sharex=True, sharey=True)
     values = np.array([_rmse(row) for row in rows if _completed(row)] or [1.0])
     wide = _is_wide(values)
     low, high = (values.min() / 2.0, values.max() * 2.0) if wide else (0.0, values.max() * 1.1)
@@ -120,10 +115,6 @@ def plot_rmse(rows: Rows) -> Figure:
         panel.set(title=condition, xlabel="RMSE [mm]", xlim=(low, edge**2 / high), ylim=(len(references) - 0.5, -0.5))
         panel.set_yticks(range(len(references)), references, fontsize=10)
         panel.grid(axis="y", visible=False)
-    for panel in axes.flat[len(conditions) :]:
-        panel.set_axis_off()
-    several = _runs(rows, ("controller", "reference", "condition"), "; a mark is one of {} seeds of the noise")
-    _title(figure, "RMSE of the position" + several)
     crosses = [] if all(map(_completed, rows)) else [Line2D([], [], color=look.TEXT, label="not completed", **_CROSS)]
     _legend(figure, styles, crosses)
     return figure
@@ -135,7 +126,9 @@ def plot_error(rows: Rows, band: float) -> Figure:
     rows = [row for row in rows if row.get("trace") and len(row["trace"]["time"])]
     styles = {name: {"color": style["color"]} for name, style in _styles(rows).items()}
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
-    figure, axes = look.panels(len(conditions), 1, 1.3 + 2.3 * len(conditions), sharex=True, sharey=True)
+    several = _runs(rows, ("controller", "condition"), "; a curve is one of {} seeds of the noise")
+    title = f"Error of the pose on: {rows[0]['reference']}{several}"
+    figure, axes = _panels(title, len(conditions), 1, 1.3, 2.3, sharex=True, sharey=True)
     for row in rows:
         panel, color = axes[conditions.index(row["condition"]), 0], styles[row["controller"]]["color"]
         # The axis may be logarithmic, and errors zero; null becomes NaN.
@@ -145,9 +138,7 @@ def plot_error(rows: Rows, band: float) -> Figure:
             panel.plot(row["trace"]["time"][-1], error[-1], color=color, **_CROSS)
     errors = [min(value, look.LARGEST_DRAWN) for row in rows for value in row["trace"]["pose_mm"] if value] or [band]
     wide = max(errors) > 10.0 * float(np.median(errors))
-    limits = (
-        (max(_MIN_DRAWN, 0.3 * float(np.percentile(errors, 2.0))), 2.0 * max(errors)) if wide else (0.0, max(errors))
-    )
+    limits = max(_MIN_DRAWN, 0.3 * float(np.percentile(errors, 2.0))) if wide else 0.0, 2.0 * max(errors)
     has_band = limits[0] < band < limits[1]
     for panel, condition in zip(axes.flat, conditions, strict=True):
         if has_band:
@@ -157,8 +148,6 @@ def plot_error(rows: Rows, band: float) -> Figure:
         panel.set(title=condition, ylabel="pose error [mm]")
     axes[0, 0].set_ylim(*limits)
     axes[-1, 0].set_xlabel("time [s]")
-    several = _runs(rows, ("controller", "condition"), "; a curve is one of {} seeds of the noise")
-    _title(figure, f"Error of the pose on: {rows[0]['reference']}{several}")
     bands = [Line2D([], [], label=f"settled: {band:g} mm", **_DASHED)] if has_band else []
     _legend(figure, styles, bands)
     return figure
@@ -199,9 +188,8 @@ def plot_bands(rows: Rows) -> Figure:
 def plot_search(rows: Rows) -> Figure:
     """Costs of all evaluations, and the least cost so far, with a panel per controller."""
     names = list(dict.fromkeys(row["controller"] for row in rows))
-    columns = min(2, len(names))
-    lines = -(-len(names) // columns)
-    figure, axes = look.panels(lines, columns, 0.6 + 2.4 * lines, sharex=True, sharey=True)
+    title = "Cost of the settings that the search tried"
+    figure, axes = _panels(title, len(names), 2, 0.6, 2.4, sharex=True, sharey=True)
     for panel, name in zip(axes.flat, names, strict=False):
         trials = [row for row in rows if row["controller"] == name]
         number, costs, best = ([row[key] for row in trials] for key in ("evaluation", "cost", "best"))
@@ -209,9 +197,6 @@ def plot_search(rows: Rows) -> Figure:
         panel.step(number, best, where="post", color=look.BLUE, linewidth=1.8, label="least so far")
         look.logarithmic(panel, "y")
         panel.set(title=f"{name}: {best[0]:.3g} to {best[-1]:.3g}", xlabel="evaluation [-]", ylabel="cost [-]")
-    for panel in axes.flat[len(names) :]:
-        panel.set_axis_off()
-    _title(figure, "Cost of the settings that the search tried")
     look.legend_below(figure, axes[0, 0].get_legend_handles_labels()[0], size=9.0)
     return figure
 
@@ -242,8 +227,17 @@ def _is_wide(values: np.ndarray) -> bool:
     return bool(values.max() > 10.0 * values.min())
 
 
-def _title(figure: Figure, text: str) -> None:
-    figure.suptitle(text, x=0.01, ha="left", fontsize=11)
+def _panels(
+    title: str, count: int, columns: int, rest: float, height: float, **subplots: Any
+) -> tuple[Figure, np.ndarray]:
+    """A figure with a title and `count` panels of a height in up to some columns; `rest` is added to the height."""
+    columns = min(columns, count)
+    lines = -(-count // columns)
+    figure, axes = look.panels(lines, columns, rest + height * lines, **subplots)
+    for panel in axes.flat[count:]:
+        panel.set_axis_off()
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    return figure, axes
 
 
 def _runs(rows: Rows, keys: Sequence[str], text: str) -> str:
