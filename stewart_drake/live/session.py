@@ -226,13 +226,15 @@ class LiveSession(PageSession):
     def _begin_test(self, command: Command) -> None:
         axis, loop = COORDINATES.index(command["axis"]), self.loop
         size = _number(command["size"])
-        shift = size * np.eye(6)[axis]
+        given, shift = round(float(SCALES[axis] * size), 6), size * np.eye(6)[axis]
+        if size == 0.0:
+            raise ConfigurationError("amplitude", given, "a number other than 0")
         for ends in (shift,) if command["kind"] == "step" else (shift, -shift):
             reached = loop.reference.reach(loop.scenario, loop.reference.goal + ends)
-            if size == 0.0 or reached.limit:
-                reach = float(abs(reached.pose - loop.reference.goal)[axis])
-                given, most = (f"{SCALES[axis] * value:.3g} {DISPLAY_UNITS[axis]}" for value in (size, reach))
-                raise ConfigurationError("amplitude", given, f"another than 0, at most {most} here; {reached.limit}")
+            if reached.limit:
+                most = SCALES[axis] * abs(reached.pose - loop.reference.goal)[axis]
+                allowed = f"at most {most:.3g} {DISPLAY_UNITS[axis]} here; {reached.limit}"
+                raise ConfigurationError("amplitude", given, allowed)
         frequency = min(max(_number(command.get("frequency", 1.0)), 0.2), 20.0)
         kind = "step" if command["kind"] == "step" else "sine"
         self._for_all(lambda loop: setattr(loop, "test", TestMotion(kind, axis, size, frequency, loop.time)))

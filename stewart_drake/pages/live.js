@@ -100,7 +100,8 @@ function trace(title, unit, names) {
       plot.setData(data);
       if (!alone) return;
       const [own, beside] = [data[1].at(-1), data[2].at(-1)];
-      heading.textContent = `${title}: ${measured(own, unit)}${beside == null ? "" : ` (pale: ${measured(beside, unit)})`}`;
+      heading.textContent = beside == null ? `${title}: ${measured(own, unit)}`
+        : `${title.split(" ")[0]}: ${measured(own, unit, 2)} (pale: ${measured(beside, unit, 2)})`;
     },
   };
 }
@@ -162,7 +163,7 @@ class TestPlot {
       }));
       this.plot.series[1].dash = [6, 4];
     }
-    this.box.querySelector(".u-title").textContent = `change of ${AXES[axis][0]}; ${text}`;
+    this.box.querySelector(".u-title").textContent = `change of ${AXES[axis][0]}; ${text.split("; pale")[0]}`;
     this.plot.setSeries(3, { show: Boolean(beside) });
     this.plot.setData(data);
   }
@@ -333,7 +334,7 @@ async function begin() {
     if (!sending && last.obeyed >= told) write(last);
     if (about.instrument) {
       pull.show(last);
-      at("test-result").textContent = last.test.replace(/^.*: /, "");
+      at("test-result").textContent = last.test.replace(/^[^:]*: /, "").replace("under way", last.ended ? "not finished" : "under way");
       test.show(last.test);
       at("message").textContent = [
         last.pull && `pulled with ${measured(last.pull.force, "N", 2)}`,
