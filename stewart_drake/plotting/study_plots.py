@@ -234,6 +234,8 @@ def _panels(
     columns = min(columns, count)
     lines = -(-count // columns)
     figure, axes = look.panels(lines, columns, rest + height * lines, **subplots)
+    for panel in axes.flat[count - columns : count]:
+        panel.tick_params(labelbottom=True)
     for panel in axes.flat[count:]:
         panel.set_axis_off()
     figure.suptitle(title, x=0.01, ha="left", fontsize=11)
