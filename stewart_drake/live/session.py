@@ -119,7 +119,7 @@ class LiveSession(PageSession):
         scenario = for_live_page(scenario)
         self.loop = LiveLoop(scenario)
         self.ghost: LiveLoop | None = None
-        self._ghost_name, self.speed, self._test, self._initial = "", 1.0, "", scenario
+        self._ghost_name, self.speed, self._initial = "", 1.0, scenario
         self._knobs: tuple[Scenario | None, list[PageRow]] = (None, [])
         self._scenario_choice = {
             key: value for key, value in scenario.to_dict().items() if key in ("controller", "tuner")
@@ -238,8 +238,6 @@ class LiveSession(PageSession):
         frequency = min(max(_number(command.get("frequency", 1.0)), 0.2), 20.0)
         kind = "step" if command["kind"] == "step" else "sine"
         self._for_all(lambda loop: setattr(loop, "test", TestMotion(kind, axis, size, frequency, loop.time)))
-        at = f", {frequency:g} Hz" if kind == "sine" else ""
-        self._test = f"{kind} of {COORDINATES[axis]}{at}: under way"
 
     def curves(self) -> PageRow:
         """Axis, reference and response of the latest test, and the response of the second robot."""
@@ -275,7 +273,7 @@ class LiveSession(PageSession):
 
     def _reset(self, _: Command) -> None:
         self.loop.reset()
-        self.ghost, self._ghost_name, self._test = None, "", ""
+        self.ghost, self._ghost_name = None, ""
         self._controller = next(iter(CONTROLLERS))
 
     def _knob_rows(self) -> list[PageRow]:
@@ -296,10 +294,9 @@ class LiveSession(PageSession):
         elif loop.spring is not None:
             at, force = loop.spring.force(loop.pose)
             pull = {"at": at, "place": loop.spring.place, "force": np.linalg.norm(force)}
-        if loop.test is not None and loop.test.result:
-            self._test = loop.test.result
-            if self.ghost is not None and self.ghost.test is not None and self.ghost.test.result:
-                self._test += f"; pale, {self._ghost_name}: {self.ghost.test.result.partition(': ')[2]}"
+        test = "" if loop.test is None else loop.test.text
+        if self.ghost is not None and self.ghost.test is not None and self.ghost.test.complete:
+            test += f"; pale, {self._ghost_name}: {self.ghost.test.text.partition(': ')[2]}"
         safety = loop.logged("safety")
         frozen = [fault.leg for fault in scenario.sensors.faults if fault.kind == "freeze"]
         return {
@@ -325,7 +322,7 @@ class LiveSession(PageSession):
             "beside": None if (pale := self.ghost) is None else _errors(pale.pose, pale.wanted) | {"ended": pale.ended},
             "pull": pull,
             "moment": moment,
-            "test": self._test,
+            "test": test,
             "knobs": self._knob_rows(),
             "ended": loop.ended,
             "cause": loop.cause,

@@ -36,9 +36,9 @@ HAS_ROWS = "typeof last !== 'undefined' && last !== null"
 class Live:
     """A live session started from the shell."""
 
-    def __init__(self, *args):
+    def __init__(self, *args, folder=None):
         command = [sys.executable, "-m", "stewart_drake", "live", *args, "--no-browser"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=folder)
         self.url = re.search(r"http://localhost:\d+/", self.process.stdout.readline())[0]
 
     def end(self, number=signal.SIGINT):
@@ -390,8 +390,8 @@ def test_sliders_of_the_machine_and_of_the_model_are_independent(page):
     page.click("#reset")
 
 
-def test_a_page_that_steers_a_machine(browser):
-    session = Live("reachy_servos", "--machine", "sim:")
+def test_a_page_that_steers_a_machine_and_leaves_a_log(browser, tmp_path):
+    session = Live("reachy_servos", "--machine", "sim:", folder=tmp_path)
     page, errors = opened(browser, session.url, width=390)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     assert page.inner_text("#name") == "reachy_servos on sim:"
@@ -406,8 +406,10 @@ def test_a_page_that_steers_a_machine(browser):
     wait(page, f"{apart} > 0 && {apart} < 0.005")
     page.click("#stop")
     wait(page, "last.ended === 'stopped'")
-    assert session.process.wait(20) == 0
+    assert session.process.wait(60) == 0
     session.process.stdout.close()
+    log = load_log(tmp_path / "runs" / "reachy_servos")
+    assert np.degrees(np.ptp(log["reference"][:, 2])) == pytest.approx(5.0, abs=0.1)
     wait(page, "document.getElementById('gone').textContent.startsWith('Ended: stopped. No connection')")
     assert errors == []
     page.close()
