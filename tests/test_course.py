@@ -7,11 +7,19 @@ from pathlib import Path
 import pytest
 
 PAGE = (Path(__file__).parents[1] / "docs" / "course.md").read_text()
+NOTEBOOK = Path(__file__).parents[1] / "notebooks" / "exercises.ipynb"
+QUESTIONS = re.findall(r"^(## \d+\. .*?)\n\n```python\n", PAGE, re.DOTALL | re.MULTILINE)
 ANSWERS = re.findall(r"^## (\d+)\. .*?```python\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE)
 
 
 def test_there_are_twelve_exercises():
     assert [number for number, _ in ANSWERS] == [str(number) for number in range(1, 13)]
+
+
+def test_the_notebook_of_exercises_asks_what_the_page_asks():
+    cells = [(cell["cell_type"], "".join(cell["source"])) for cell in json.loads(NOTEBOOK.read_text())["cells"]]
+    assert [source for kind, source in cells if kind == "markdown"][1:] == QUESTIONS
+    assert all("..." in source for kind, source in cells if kind == "code")
 
 
 @pytest.mark.slow

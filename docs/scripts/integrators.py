@@ -14,7 +14,7 @@ from stewart_drake import DrakeOptions, RobotParameters, build_plant, load_scena
 from stewart_drake.base.markdown import markdown_table
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics, static_torque
 from stewart_drake.plant.closed_form import ClosedFormOptions
-from stewart_drake.plotting.style import save_figure, styled
+from stewart_drake.plotting.style import chart, save_figure
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from mujoco_robot import MujocoRobot
@@ -169,17 +169,14 @@ def engines() -> list[tuple[str, ...]]:
     return lines
 
 
-@styled
 def draw(made: list[Row]) -> Figure:
     """Error against time, without friction."""
-    figure = Figure(figsize=(7.5, 4.5))
-    panel = figure.subplots()
+    curves = {}
     for engine in dict.fromkeys(row.engine for row in made):
         points = [row for row in made if row.engine == engine and not row.friction]
-        panel.loglog([row.seconds for row in points], [row.error for row in points], "o-", label=engine)
-    panel.set(xlabel="processor time for a simulated second [s]", ylabel="largest error in 0.4 s [mm]")
-    panel.legend()
-    return figure
+        curves[engine] = [row.seconds for row in points], [row.error for row in points]
+    of_time, of_error = "processor time for a simulated second [s]", "largest error in 0.4 s [mm]"
+    return chart("Error over processor time, without friction; a mark is a step", of_time, of_error, curves, "o-", "xy")
 
 
 def main() -> None:

@@ -52,6 +52,7 @@ class TabSession {
     this.wrench = [0, 0, 0, 0, 0, 0];
     this.pushEnds = -1;
     this.ended = "";
+    this.cause = null;
     this.controller = null;
     this.choose(about.controllers[0]);
   }
@@ -139,9 +140,11 @@ class TabSession {
   end(status) {
     const { parts, safety } = this.robot.modules[this.controller];
     this.ended = `${parts[status - 1]} failed`;
+    this.cause = { reason: this.ended, time: this.time, leg: null };
     if (parts[status - 1] === "safety") {
       const [, monitor, leg] = this.doubles(safety);
       this.ended = `safety: ${this.robot.monitors[monitor].replaceAll("_", " ")}${leg >= 0 ? `, leg ${leg}` : ""}`;
+      Object.assign(this.cause, { reason: this.robot.monitors[monitor], leg: leg >= 0 ? leg : null });
     }
   }
 
@@ -202,7 +205,7 @@ class TabSession {
       safety: this.doubles(safety)[0], target: this.hand.target, pose, frames: Array.from(frames),
       pushed: this.steps < this.pushEnds, motion: this.share.target[0] > 0, payload: settings.payload,
       dead: settings.dead, frozen: null, controller: this.controller, kappa: setting ? settings.kappa : null,
-      paused: this.paused, ended: this.ended, message: this.message,
+      paused: this.paused, ended: this.ended, cause: this.cause, message: this.message,
     };
   }
 }

@@ -11,6 +11,7 @@ import click
 from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
+from stewart_drake.cli.run_commands import write_results
 from stewart_drake.cli.terminal import print_line, shown_compiling
 from stewart_drake.logs.log import load_log
 from stewart_drake.scenario.scenario import Scenario, load_driven, load_scenario
@@ -37,7 +38,8 @@ def live(
     command a step, compare with a second controller. Only this computer can open the page. Ctrl-C ends it.
 
     With --machine the sliders steer a real robot, with the checks of `drive`, and the page shows it and its desired
-    pose, in a pale colour.
+    pose, in a pale colour. The motion of SCENARIO, which may be recorded, is played as often as you switch it on. The
+    last ten minutes are logged as by `drive`.
     """
     if machine is not None:
         _steer(load_driven(scenario, overrides, trust_code), machine, port, browser, trust_code)
@@ -68,6 +70,7 @@ def _steer(loaded: Scenario, url: str, port: int | None, browser: bool, trust_co
     from stewart_drake.machines.machine import open_machine
     from stewart_drake.runs.checks import check_scenario
     from stewart_drake.runs.drive import connected
+    from stewart_drake.runs.outputs import new_run_folder
 
     machine = open_machine(url, loaded, trust_code)
     try:
@@ -83,9 +86,12 @@ def _steer(loaded: Scenario, url: str, port: int | None, browser: bool, trust_co
             server.close()
     finally:
         machine.disconnect()
+    log = session.log(why)
+    with new_run_folder(log.scenario, duration=False) as claimed:
+        place = write_results(log, claimed, machine=url)
+    print_line(f"to play what it did: --set 'reference={{kind: recorded, motion_file: {place / 'log.parquet'}}}'")
     if isinstance(why, RunFailure):
         raise why
-    click.echo()
 
 
 @command("replay", logs={"required": True}, out="runs/replay.html")

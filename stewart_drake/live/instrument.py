@@ -30,6 +30,7 @@ _PULL_LENGTH = 0.15  # [characteristic lengths] stretch of a spring at its large
 _FORCE_SHARE = 0.2  # Largest force or moment of a spring, as a share of the result of `largest`.
 _PULL_ANGLE = 0.3  # [rad] turn of a spring at its largest moment.
 _STEP_DURATION = 2.0  # [s]
+_DRAWN = 2000
 _PERIODS = 3  # Evaluated periods of a sine, after one that is left out.
 _RECORDED = 120.0  # [s] that a recorder keeps.
 _RECORD_PERIOD = 0.001  # [s]
@@ -185,7 +186,7 @@ def largest(robot: RobotParameters, gravity: float, axes: slice) -> float:
 class TestMotion:
     """A step or a sine that is added to the reference of one coordinate, and the response.
 
-    `result` is a sentence once it is complete.
+    `text` names it, and has its figures once it is complete.
     """
 
     __test__ = False  # Not a test of pytest.
@@ -196,7 +197,9 @@ class TestMotion:
         self.duration = _STEP_DURATION if kind == "step" else (_PERIODS + 1) / frequency
         self.times: list[float] = []
         self.values: list[float] = []
-        self.result = ""
+        at = f", {frequency:.3g} Hz" if kind == "sine" else ""
+        what = f"{kind} of {COORDINATES[axis]}, {SCALES[axis] * size:.3g} {DISPLAY_UNITS[axis]}{at}"
+        self.complete, self._what, self.text = False, what, f"{what}: under way"
 
     def added(self, time: float) -> np.ndarray:
         """Pose, rate and acceleration (18,) to be added at a time [s]; a step has a pose only."""
@@ -216,28 +219,34 @@ class TestMotion:
 
     def watch(self, time: float, pose: np.ndarray, rest: float) -> None:
         """Takes a pose (6,) of the response; `rest` is the reference of the coordinate without the test."""
-        if self.result or time < self.start:
+        if self.complete or time < self.start:
             return
         self.times.append(time - self.start)
         self.values.append((float(pose[self.axis]) - rest) / self.size)
         if time - self.start >= self.duration:
-            self.result = self._sentence()
+            self.complete, self.text = True, f"{self._what}: {self._figures()}"
 
-    def _sentence(self) -> str:
+    def curves(self) -> dict[str, object]:
+        """Time from the start [s], reference and response [rad, m] of the coordinate, in up to `_DRAWN` rows."""
+        count = len(self.values)
+        rows = range(0, count, 1 + count // _DRAWN)
+        reference = [float(self.added(self.start + self.times[row])[self.axis]) for row in rows]
+        response = [self.size * self.values[row] for row in rows]
+        return {"time": [self.times[row] for row in rows], "reference": reference, "response": response}
+
+    def _figures(self) -> str:
         t, y = np.array(self.times), np.array(self.values)
-        size = f"{SCALES[self.axis] * self.size:.2g} {DISPLAY_UNITS[self.axis]}"
-        what = f"{self.kind} of {COORDINATES[self.axis]}, {size}"
         if self.kind == "step":
             found = step_figures(t, y)
             rise, settling = (
                 f"{1e3 * time:.0f} ms" if np.isfinite(time) else "-" for time in (found.rise_time, found.settling_time)
             )
-            return f"{what}: rise {rise}, overshoot {100.0 * found.overshoot:.0f} %, settled after {settling}"
+            return f"rise {rise}, overshoot {100.0 * found.overshoot:.0f} %, settled after {settling}"
         frequency = self.frequency / (2.0 * math.pi)
         last = t >= t[-1] - _PERIODS / frequency
         ratio, _ = sine_response(t[last], np.sin(self.frequency * t[last]), y[last], frequency)
         phase = math.degrees(cmath.phase(ratio))
-        return f"{what}, {frequency:.3g} Hz: gain {abs(ratio):.3f}, phase {phase:.1f} deg"
+        return f"gain {abs(ratio):.3f}, phase {phase:z.1f} deg"
 
 
 # --- recording ---

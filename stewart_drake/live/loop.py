@@ -8,18 +8,30 @@ from copy import deepcopy
 
 import numpy as np
 
-from stewart_drake.base.errors import one_line
+from stewart_drake.base.errors import RunFailure, SafetyStop, one_line
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.live.instrument import Push, Recorder, Spring, TestMotion, TurningSpring
 from stewart_drake.live.steering import GOVERNOR_PERIOD, HandReference, Reached
 from stewart_drake.plant.plant_options import ANGLES
-from stewart_drake.safety import Stillness
+from stewart_drake.safety import MONITORS, Stillness
+from stewart_drake.safety.limits import LIMITS
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 PULL_RESOLUTION = 0.02  # Share of the largest force; a smaller change of a pull is not recorded.
+
+
+def cause_of(failure: RunFailure, scenario: Scenario, time: float) -> dict[str, object]:
+    """What ended a loop at a time [s], and where; a trip of the safety layer came before, with the key of its limit."""
+    safety, trip = scenario.safety, failure.trip if isinstance(failure, SafetyStop) else None
+    if safety is None or trip is None:
+        return {"reason": failure.reason, "time": failure.time or time, "leg": failure.leg}
+    trip = trip["stopped"] or trip
+    key = {MONITORS[number]: key for number, key, _ in LIMITS}.get(trip["monitor"], trip["monitor"])
+    limit = {"key": key, "unit": safety.unit_of(key), "limit": np.ravel(getattr(safety, key, ()))}
+    return {"reason": trip["monitor"], "time": trip["time"], "leg": trip["leg"], **limit}
 
 
 class LiveLoop:
@@ -31,6 +43,7 @@ class LiveLoop:
     Attributes:
         reference: Pose set by hand, with the motion of the scenario about it.
         ended: Reason why the loop cannot go on; empty while it can.
+        cause: What ended it; None while it can go on.
         spring: Pulls or turns the platform; may be None.
         test: Motion that is added to the reference; may be None.
         record: Recorder of motion, pushes and changes.
@@ -45,6 +58,7 @@ class LiveLoop:
         """Back to the beginning."""
         scenario = self._initial
         self.ended, self._push, self._push_ends = "", np.zeros(6), -1
+        self.cause: dict[str, object] | None = None
         self.spring: Spring | TurningSpring | None = None
         self.test: TestMotion | None = None
         self._pulled: Push | None = None
@@ -91,7 +105,8 @@ class LiveLoop:
             for _ in range(steps if not self.ended else 0):
                 self._advance_one()
         except (Exception, SystemExit) as error:  # The page stays open, so that a person can reset.
-            self.ended = one_line(failure_of(error, self.scenario))
+            failure = failure_of(error, self.scenario)
+            self.cause, self.ended = cause_of(failure, self.scenario, self.time), one_line(failure)
 
     def _advance_one(self) -> None:
         self._record_pull()

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError, RunFailure, StewartDrakeError, one_line
 from stewart_drake.live.session import SLICE, Command, PageRow, PageSession, as_six, drawn
 from stewart_drake.live.steering import HandReference, nearest_allowed
-from stewart_drake.logs.log import MAX_ROWS
+from stewart_drake.logs.log import MAX_ROWS, SimulationLog
 from stewart_drake.machines.machine import Machine
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.references.paced import RAMP, PacedMotion
@@ -18,7 +19,8 @@ from stewart_drake.runs.drive import Drive, Start, as_logged
 from stewart_drake.scenario.scenario import Scenario
 
 BANDWIDTH = 3.0  # [rad/s] of the filter behind the sliders: a move takes about three seconds.
-ROWS_IN_MEMORY = 1000  # Rows of the drive.
+LOGGED = 600.0  # [s] that the log keeps, the latest.
+STILL = 1e-4  # Share of the motion in the reference, below which it may begin anew.
 LAST_ROW = 0.5  # [s] for pages to read the last row.
 
 
@@ -26,6 +28,7 @@ class MachineSession(PageSession):
     """Drives a connected machine until it is stopped; publishes rows from another thread.
 
     The motion of the scenario, about a pose set by hand, ends after the scenario's duration, which is the checked part.
+    Switched on again, it begins anew.
     """
 
     def __init__(self, scenario: Scenario, machine: Machine, start: Start) -> None:
@@ -34,7 +37,7 @@ class MachineSession(PageSession):
         self._hand = HandReference(scenario.reference, BANDWIDTH)
         self._motion = PacedMotion(self._hand, start.pose, start.motion.approach)
         endless = start._replace(motion=self._motion, duration=min(MAX_ROWS * scenario.reading_period, 1e6))
-        self._drive = Drive(scenario, machine, endless, max_rows=ROWS_IN_MEMORY)
+        self._drive = Drive(scenario, machine, endless, max_rows=round(LOGGED / scenario.reading_period))
         self._motors = scenario.controller_model.motors
         self._pose, self._ended = start.pose, ""
         self._do = {"aim": self._aim, "move": self._move, "stop": lambda _: self._drive.stop()}
@@ -60,10 +63,15 @@ class MachineSession(PageSession):
         time.sleep(LAST_ROW)
         return reason
 
+    def log(self, reason: RunFailure | KeyboardInterrupt | None) -> SimulationLog:
+        """The log of the last `LOGGED` s, after the end."""
+        log = self._drive.log(reason)
+        return replace(log, scenario=log.scenario.replace(duration=max(log.end_time, self.scenario.reading_period)))
+
     def _advance(self, now: float) -> None:
         elapsed = self._motion.motion_time(now)
         self._hand.advance(elapsed)
-        if elapsed > self.scenario.duration - RAMP:
+        if elapsed - self._hand.begun > self.scenario.duration - RAMP:
             self._hand.share.target = np.zeros(1)
 
     def _show(self, ended: threading.Event) -> None:
@@ -82,13 +90,15 @@ class MachineSession(PageSession):
 
     def _move(self, command: Command) -> None:
         on, reference, scenario = bool(command["on"]), self._hand, self.scenario
-        if on and self._motion.motion_time(self._drive.time) > scenario.duration - 2.0 * RAMP:
-            raise ConfigurationError("motion", "on", f"off after the scenario's duration, {scenario.duration:g} s")
         if on:
+            now, still = self._motion.motion_time(self._drive.time), reference.share.state[0, 0] < STILL
+            if not still and now - reference.begun > scenario.duration - 2.0 * RAMP:
+                raise ConfigurationError("motion", "on", "off until it has slowed down; ask again in some seconds")
             # The motion may be infeasible about the present pose.
             setup = scenario.robot, scenario.limits, self.home, reference.goal, scenario.gravity
             if limit := nearest_allowed(*setup, reference.excursions(scenario.duration, on=True)).limit:
                 raise ConfigurationError("motion", "on", f"off here: {limit}")
+            reference.begun = now if still else reference.begun
         reference.share.target = np.array([float(on)])
 
     def row(self) -> PageRow:

@@ -12,6 +12,7 @@ from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 
+from stewart_drake.base.atomic_files import plain_json
 from stewart_drake.base.errors import StewartDrakeError
 from stewart_drake.live.session import PageSession
 
@@ -92,6 +93,8 @@ class _Handler(BaseHTTPRequestHandler):
             self._stream()
         elif name == "about":
             self._answer(json.dumps(self.about).encode(), "application/json")
+        elif name == "curves":
+            self._answer(json.dumps(plain_json(self.session.curves())).encode(), "application/json")
         elif name in _FILES:
             self._answer(_FILES[name].read_bytes(), _TYPES.get(name.rpartition(".")[2], "text/plain"))
         else:

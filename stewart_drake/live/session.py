@@ -29,6 +29,7 @@ from stewart_drake.live.instrument import (
     turning_spring,
 )
 from stewart_drake.live.loop import LiveLoop
+from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.robot import RobotParameters
 from stewart_drake.runs.outputs import new_run_folder
@@ -96,6 +97,10 @@ class PageSession:
         except Exception as error:  # Whatever a page sends, the loop goes on.
             self.message = f"not understood: {one_line(error)}"
 
+    def curves(self) -> PageRow:
+        """Curves of the latest test; called by other threads."""
+        return {}
+
     def publish(self, row: PageRow) -> None:
         """Publishes a row to the pages."""
         # Numbers that are not finite become null, as JSON has none.
@@ -114,7 +119,7 @@ class LiveSession(PageSession):
         scenario = for_live_page(scenario)
         self.loop = LiveLoop(scenario)
         self.ghost: LiveLoop | None = None
-        self._ghost_name, self.speed, self._test, self._initial = "", 1.0, "", scenario
+        self._ghost_name, self.speed, self._initial = "", 1.0, scenario
         self._knobs: tuple[Scenario | None, list[PageRow]] = (None, [])
         self._scenario_choice = {
             key: value for key, value in scenario.to_dict().items() if key in ("controller", "tuner")
@@ -219,13 +224,28 @@ class LiveSession(PageSession):
             self.ghost, self._ghost_name = self.loop.copy_with({**self._scenario_choice, **CONTROLLERS[name]}), name
 
     def _begin_test(self, command: Command) -> None:
-        axis, robot = COORDINATES.index(command["axis"]), self.loop.scenario.robot
-        size = 0.01 * (1.0 if axis < 3 else robot.characteristic_length)
+        axis, loop = COORDINATES.index(command["axis"]), self.loop
+        size = _number(command["size"])
+        given, shift = round(float(SCALES[axis] * size), 6), size * np.eye(6)[axis]
+        if size == 0.0:
+            raise ConfigurationError("amplitude", given, "a number other than 0")
+        for ends in (shift,) if command["kind"] == "step" else (shift, -shift):
+            reached = loop.reference.reach(loop.scenario, loop.reference.goal + ends)
+            if reached.limit:
+                most = SCALES[axis] * abs(reached.pose - loop.reference.goal)[axis]
+                allowed = f"at most {most:.3g} {DISPLAY_UNITS[axis]} here; {reached.limit}"
+                raise ConfigurationError("amplitude", given, allowed)
         frequency = min(max(_number(command.get("frequency", 1.0)), 0.2), 20.0)
         kind = "step" if command["kind"] == "step" else "sine"
         self._for_all(lambda loop: setattr(loop, "test", TestMotion(kind, axis, size, frequency, loop.time)))
-        at = f", {frequency:g} Hz" if kind == "sine" else ""
-        self._test = f"{kind} of {COORDINATES[axis]}{at}: under way"
+
+    def curves(self) -> PageRow:
+        """Axis, reference and response of the latest test, and the response of the second robot."""
+        test, pale = self.loop.test, None if self.ghost is None else self.ghost.test
+        if test is None:
+            return {}
+        beside = None if pale is None else pale.curves()["response"]
+        return {"axis": test.axis, "beside": beside, **test.curves()}
 
     def _one_tick(self, _: Command) -> None:
         self.paused = True
@@ -253,7 +273,7 @@ class LiveSession(PageSession):
 
     def _reset(self, _: Command) -> None:
         self.loop.reset()
-        self.ghost, self._ghost_name, self._test = None, "", ""
+        self.ghost, self._ghost_name = None, ""
         self._controller = next(iter(CONTROLLERS))
 
     def _knob_rows(self) -> list[PageRow]:
@@ -274,10 +294,9 @@ class LiveSession(PageSession):
         elif loop.spring is not None:
             at, force = loop.spring.force(loop.pose)
             pull = {"at": at, "place": loop.spring.place, "force": np.linalg.norm(force)}
-        if loop.test is not None and loop.test.result:
-            self._test = loop.test.result
-            if self.ghost is not None and self.ghost.test is not None and self.ghost.test.result:
-                self._test += f"; pale, {self._ghost_name}: {self.ghost.test.result.partition(': ')[2]}"
+        test = "" if loop.test is None else loop.test.text
+        if self.ghost is not None and self.ghost.test is not None and self.ghost.test.complete:
+            test += f"; pale, {self._ghost_name}: {self.ghost.test.text.partition(': ')[2]}"
         safety = loop.logged("safety")
         frozen = [fault.leg for fault in scenario.sensors.faults if fault.kind == "freeze"]
         return {
@@ -303,9 +322,10 @@ class LiveSession(PageSession):
             "beside": None if (pale := self.ghost) is None else _errors(pale.pose, pale.wanted) | {"ended": pale.ended},
             "pull": pull,
             "moment": moment,
-            "test": self._test,
+            "test": test,
             "knobs": self._knob_rows(),
             "ended": loop.ended,
+            "cause": loop.cause,
             "message": self.message if (still := loop.stillness.latest) is None else standstill_text(*still),
         }
 

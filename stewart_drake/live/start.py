@@ -45,6 +45,8 @@ def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> Pa
         "home": home.tolist(),
         "room": _room(scenario, home).tolist(),
         "payload_most": max(float(f"{0.5 * robot.platform_mass:.1g}"), scenario.plant.payload_mass),
+        "test_sizes": [0.01] * 3 + [0.01 * robot.characteristic_length] * 3,
+        "effort_limits": robot.effort_limits.tolist(),
         "force_most": largest(robot, scenario.gravity, FORCE),
         "encoders": scenario.sensors.reading == "angles",
         "may_fail": "dead" in scenario.motors.to_dict(),

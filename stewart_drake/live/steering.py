@@ -63,24 +63,28 @@ class SmoothValue:
 class HandReference:
     """A pose set by hand plus the motion of the scenario about it.
 
-    reference(t) = hand(t) + share(t) (motion(t) - motion(0)); hand and share are `SmoothValue`s.
+    reference(t) = hand(t) + share(t) (motion(t - begun) - motion(0)); hand and share are `SmoothValue`s.
     """
 
     def __init__(self, motion: Reference, bandwidth: float = BANDWIDTH) -> None:
-        self._motion, self._now = motion, 0.0
+        self._motion, self._now, self.begun = motion, 0.0, 0.0
         self.goal = self.home = motion.evaluate(0.0)[0]
         self._around: tuple[float, np.ndarray] | None = None
         self.hand, self.share = (SmoothValue(value, bandwidth) for value in (self.home, np.ones(1)))
 
     def aim(self, scenario: Scenario, pose: np.ndarray) -> Reached:
-        """Sets the goal to a pose (6,) [rad, m], or to the last feasible one on the straight path to it."""
+        """Sets the goal to what `reach` returns."""
+        reached = self.reach(scenario, pose)
+        self.goal = reached.pose
+        return reached
+
+    def reach(self, scenario: Scenario, pose: np.ndarray) -> Reached:
+        """A pose (6,) [rad, m], or the last feasible one on the straight path to it from the goal."""
         if (np.abs(pose - self.home) > REACH + 1e-9).any():
             allowed = f"a pose within {REACH[0]:g} rad and {REACH[3]:g} m of {self.home.round(4).tolist()}"
             raise ConfigurationError("pose", pose.tolist(), allowed)
         around = self.excursions(scenario.duration)
-        reached = nearest_allowed(scenario.robot, scenario.limits, self.goal, pose, scenario.gravity, around)
-        self.goal = reached.pose
-        return reached
+        return nearest_allowed(scenario.robot, scenario.limits, self.goal, pose, scenario.gravity, around)
 
     def govern(self, scenario: Scenario, time: float) -> None:
         """Moves the filter's target as far towards `goal` as limits and `CRANK_SPEED` allow; time [s] as `at`.
@@ -117,7 +121,7 @@ class HandReference:
         ahead = time - self._now
         hand, share = (value.after(ahead) if ahead else value.state for value in (self.hand, self.share))
         s, rate, acceleration = share[:, 0]
-        pose, velocity, force = self._motion.evaluate(time)
+        pose, velocity, force = self._motion.evaluate(time - self.begun)
         offset = pose - self.home
         return np.concatenate(
             [

@@ -5,6 +5,7 @@ const AXES = [
   ["X", "mm", 1e3], ["Y", "mm", 1e3], ["Z", "mm", 1e3],
 ];
 const WINDOW = 12; // [s] that the traces show
+const BEFORE = 1; // [s] that they show before the cause of an end
 const at = (id) => document.getElementById(id);
 const SILENCE = 3; // [s] without a row after which the page says so
 const LOST = "No connection: the session has ended, or too many pages show it. Nothing below is live. This page goes on by itself where the session does; else start it again in the terminal.";
@@ -73,12 +74,16 @@ function options(select, entries) {
 function trace(title, unit, names) {
   const alone = names.length === 1;
   const data = [[], ...names.map(() => []), ...(alone ? [[]] : [])];
-  const { box, plot } = tracePlot(at("traces"), title, unit, names, data,
-    { legend: { show: !alone }, cursor: { drag: { x: false } } });
+  const { box, plot } = tracePlot(at("traces"), title, unit, names, data, {
+    fits: true, legend: { show: !alone }, cursor: { drag: { x: false } }, hooks: { draw: [drawCause] },
+    // What happened before the end is not at the rim of the picture.
+    scales: { x: { time: false, range: (_, low, high) => (last?.cause ? [last.cause.time - BEFORE, Math.max(high, last.cause.time + 0.2)] : [low, high]) } },
+  });
   if (alone) plot.addSeries({ stroke: "#009e73", width: 1.5, dash: [6, 4], points: { show: false } });
   const heading = box.querySelector(".u-title");
   return {
     box,
+    plot,
     data,
     add(time, values) {
       if (data[0].length && time < data[0].at(-1)) data.forEach((each) => { each.length = 0; });
@@ -95,9 +100,73 @@ function trace(title, unit, names) {
       plot.setData(data);
       if (!alone) return;
       const [own, beside] = [data[1].at(-1), data[2].at(-1)];
-      heading.textContent = `${title}: ${measured(own, unit)}${beside == null ? "" : ` (pale: ${measured(beside, unit)})`}`;
+      heading.textContent = beside == null ? `${title}: ${measured(own, unit)}`
+        : `${title.split(" ")[0]}: ${measured(own, unit, 2)} (pale: ${measured(beside, unit, 2)})`;
     },
   };
+}
+
+/** A line in a trace at the time of what ended the run, and one at the limit, if the trace has it. */
+function drawCause(plot) {
+  if (!last?.cause) return;
+  const { ctx, bbox: { left, top, width, height } } = plot;
+  const lines = [plot.valToPos(last.cause.time, "x", true)].map((x) => [x, top, x, top + height]);
+  const limit = plot.limit?.(last.cause);
+  if (limit != null) for (const level of [limit, -limit].map((value) => plot.valToPos(value, "y", true))) {
+    if (level >= top && level <= top + height) lines.push([left, level, left + width, level]);
+  }
+  ctx.save();
+  Object.assign(ctx, { strokeStyle: "#b00020", lineWidth: 2 * devicePixelRatio });
+  ctx.setLineDash([]);
+  for (const [x, y, toX, toY] of lines) {
+    ctx.beginPath();
+    ctx.moveTo(x, y);
+    ctx.lineTo(toX, toY);
+    ctx.stroke();
+  }
+  ctx.restore();
+}
+
+/** What ended the run: a text over the robot, its leg in red, or its platform. */
+function showCause(cause) {
+  at("cause").hidden = !cause;
+  at("leg-label").hidden = !cause || cause.leg === null;
+  if (!cause) return view.mark([]);
+  at("cause").replaceChildren(...[`at ${cause.time.toFixed(3)} s: ${cause.reason.replaceAll("_", " ")}${cause.leg === null ? "" : ` of leg ${cause.leg}`}`,
+    cause.limit?.length && `limit: safety.${cause.key} = ${cause.limit.join(", ")}${cause.unit && ` [${cause.unit}]`}`]
+    .filter(Boolean).map((text) => Object.assign(document.createElement("p"), { textContent: text })));
+  at("leg-label").textContent = `leg ${cause.leg}`;
+  if (cause.leg === null) view.mark(["platform"]);
+  else view.mark([`crank_${cause.leg}`, `rod_${cause.leg}`], at("leg-label"));
+}
+
+/** The response to a step or a sine that was asked for, from its start; a drag zooms. */
+class TestPlot {
+  /** Asks for the curves where the text of the test has changed, and a few times a second while it is under way. */
+  show(text) {
+    if (this.box) this.box.hidden = !text;
+    if (this.asking || !(text !== this.text || (text.endsWith("under way") && performance.now() > this.due))) return;
+    Object.assign(this, { text, asking: true, due: performance.now() + 250 });
+    fetch("curves").then((answer) => answer.json()).then((curves) => this.draw(text, curves))
+      .catch(() => {}).finally(() => { this.asking = false; });
+  }
+
+  draw(text, { axis, time, reference, response, beside }) {
+    if (!time) return;
+    const unit = axis < 3 ? "deg" : "m", scale = axis < 3 ? AXES[axis][2] : 1;
+    const data = [time, ...[reference, response, beside ?? response.map(() => null)].map((values) =>
+      values.map((value) => (value === null ? null : value * scale)))];
+    if (this.unit !== unit) {
+      this.box?.remove();
+      Object.assign(this, { unit }, tracePlot(at("traces"), text, unit, ["reference", "robot", "pale"], data, {
+        fits: true, kind: "test", colours: ["#1d2733", COLOURS[0], COLOURS[2]], cursor: { drag: { x: true, y: true, uni: 30 } },
+      }));
+      this.plot.series[1].dash = [6, 4];
+    }
+    this.box.querySelector(".u-title").textContent = `change of ${AXES[axis][0]}; ${text.split("; pale")[0]}`;
+    this.plot.setSeries(3, { show: Boolean(beside) });
+    this.plot.setData(data);
+  }
 }
 
 async function begin() {
@@ -146,6 +215,14 @@ async function begin() {
   options(at("ghost"), [["", "none"], ...about.controllers.map((name) => [name, name])]);
   options(at("test-axis"), AXES.map(([name]) => [name, name]));
   at("test-axis").value = "Z";
+  const testAxis = () => AXES.find(([name]) => name === at("test-axis").value);
+  const writeTest = () => {
+    const [name, unit, scale] = testAxis();
+    at("test-unit").textContent = unit;
+    at("test-size").value = about.test_sizes && Number((about.test_sizes[AXES.findIndex(([each]) => each === name)] * scale).toPrecision(1));
+  };
+  at("test-axis").addEventListener("change", writeTest);
+  writeTest();
   const off = (id, why) => {
     at(id).disabled = true;
     at(`${id}-label`).classList.add("off");
@@ -180,13 +257,31 @@ async function begin() {
     target.value = Math.min(target.max, Math.max(target.min, Number(target.value) || 1));
   });
   for (const kind of ["step", "sine"]) at(`test-${kind}`).addEventListener("click", () =>
-    tell({ do: "test", kind, axis: at("test-axis").value, frequency: Number(at("test-frequency").value) }));
+    tell({ do: "test", kind, axis: at("test-axis").value, size: Number(at("test-size").value) / testAxis()[2], frequency: Number(at("test-frequency").value) }));
   at("reset").addEventListener("click", () => tell({ do: "reset" }));
+  at("help-open").addEventListener("click", () => at("help").showModal());
+  const arrows = { ArrowLeft: [3, -1], ArrowRight: [3, 1], ArrowDown: [4, -1], ArrowUp: [4, 1] };
+  document.addEventListener("keydown", (event) => {
+    const { target, key, shiftKey } = event, on = (kinds) => target.matches(kinds);
+    if (event.ctrlKey || event.altKey || event.metaKey || at("help").open || on("select, [type=number]")) return;
+    if (key === " " && (about.machine || !on("button, [type=checkbox]"))) at(about.machine ? "stop" : "pause").click();
+    else if (key.toLowerCase() === "r" && !about.machine) at("reset").click();
+    else if (arrows[key] && !on("input")) {
+      const [axis, way] = arrows[key], { input, write } = sliders[axis + (shiftKey && axis === 4)];
+      input.value = Number(input.value) + way * (input.max - input.min) / 40;
+      write();
+      tell({ do: "aim", pose: asked() });
+    } else return;
+    event.preventDefault();
+  });
+  // Space is for the whole page after a click on a button, too.
+  document.addEventListener("click", ({ target, detail }) => { if (detail && target.matches("button")) target.blur(); });
+  new ResizeObserver(() => document.documentElement.style.setProperty("--top", `${at("top").offsetHeight + 10}px`)).observe(at("top"));
 
   traces = {
     error: trace("position error", "m", ["position"]),
     angle: trace("rotation error", "deg", ["rotation"]),
-    torque: trace("torque", "N m", [0, 1, 2, 3, 4, 5].map((leg) => `leg ${leg}`)),
+    torque: trace("torque", "N m", ["leg 0", "1", "2", "3", "4", "5"]),
     setting: trace("tuner's setting", "decades", ["speed", "damping", "integral", "disturbance"]),
   };
 
@@ -210,7 +305,11 @@ async function begin() {
     });
   };
 
-  let stale = true, ghost, events;
+  traces.angle.plot.limit = ({ key, limit }) => (key === "following_error" ? limit[0] * 180 / Math.PI : null);
+  traces.error.plot.limit = ({ key, limit }) => (key === "following_error" ? limit[1] : null);
+  traces.torque.plot.limit = ({ key, limit, leg }) => (key === "torque_limit" && leg !== null ? limit[0] * about.effort_limits[leg] : null);
+  const test = new TestPlot();
+  let stale = true, ghost, events, caused = null;
   const listen = () => {
     events = new EventSource("events");
     events.onmessage = show;
@@ -228,14 +327,15 @@ async function begin() {
     gone("");
     at("clock").textContent = `${last.time.toFixed(1)} s`;
     at("factor").textContent = last.paused ? "paused" : `× ${last.factor.toFixed(2)}`;
-    at("pause").textContent = last.paused ? "Go on" : "Pause";
+    at("pause").textContent = last.paused ? "Run" : "Pause";
     at("message").textContent = last.ended ? `ended: ${last.ended}${about.machine ? "" : " (Reset begins anew)"}` : last.message;
     at("message").className = last.ended ? "ended" : "";
     // Not before what was asked for here is done: the control would jump back for a moment.
     if (!sending && last.obeyed >= told) write(last);
     if (about.instrument) {
       pull.show(last);
-      at("test-result").textContent = last.test;
+      at("test-result").textContent = last.test.replace(/^[^:]*: /, "").replace("under way", last.ended ? "not finished" : "under way");
+      test.show(last.test);
       at("message").textContent = [
         last.pull && `pulled with ${measured(last.pull.force, "N", 2)}`,
         last.moment && `turned with ${measured(Math.hypot(...last.moment), "N m", 2)}`,
@@ -243,6 +343,8 @@ async function begin() {
         last.beside?.ended && `pale: ended: ${last.beside.ended}`,
       ].filter(Boolean).join("; ");
     }
+    const cause = last.cause ?? null;
+    if (JSON.stringify(cause) !== JSON.stringify(caused)) showCause(caused = cause);
     if (last.links) {
       view.place(last.links);
       if (last.ghost !== ghost) for (const each of [traces.error, traces.angle]) each.alone();

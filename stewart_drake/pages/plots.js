@@ -2,7 +2,7 @@
 
 const COLOURS = ["#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00"];
 const PREFIXES = [["", 1], ["m", 1e-3], ["µ", 1e-6], ["n", 1e-9], ["p", 1e-12]];
-const WITHOUT_PREFIX = new Set(["decades", "s"]);
+const WITHOUT_PREFIX = new Set(["decades", "s", "deg"]); // nobody reads a millidegree
 
 /** A prefix and its size in which a value of a unit has one to three digits before its point. */
 function prefixOf(value, unit) {
@@ -26,12 +26,13 @@ function roomFor(plot, labels, axis, round) {
   return Math.ceil(Math.max(56, ticks.size + gap + Math.max(0, ...widths)));
 }
 
-/** A plot of values in base units over time, in a box of its own below `parent`. */
-function tracePlot(parent, title, unit, names, data, more = {}) {
+/** A plot of values in base units over time, in a box of its own below `parent`; it `fits` a box of given height. */
+function tracePlot(parent, title, unit, names, data, { fits = false, kind = "", colours = COLOURS, ...more } = {}) {
   const box = document.createElement("div");
-  box.className = "trace";
+  box.className = `trace ${kind}`;
   parent.append(box);
-  const size = () => ({ width: box.clientWidth - 12, height: 200 });
+  const besides = () => [...box.querySelectorAll(".u-title, .u-legend")].reduce((sum, part) => sum + part.offsetHeight, 14);
+  const size = () => ({ width: box.clientWidth - 12, height: fits ? Math.max(60, box.clientHeight - besides()) : 200 });
   const value = (_, number) => measured(number, unit);
   const plot = new uPlot({
     title, ...size(), scales: { x: { time: false } }, ...more,
@@ -43,7 +44,7 @@ function tracePlot(parent, title, unit, names, data, more = {}) {
       },
     ],
     series: [{ label: "t", value: (_, number) => measured(number, "s", 6) }, ...names.map((label, k) =>
-      ({ label, value, stroke: COLOURS[k % COLOURS.length], width: 1.5, spanGaps: true, points: { show: false } }))],
+      ({ label, value, stroke: colours[k % colours.length], width: 1.5, spanGaps: true, points: { show: false } }))],
   }, data, box);
   new ResizeObserver(() => plot.setSize(size())).observe(box);
   return { box, plot };

@@ -29,6 +29,7 @@ class RobotScene {
     this.controls.update();
     this.controls.addEventListener("change", () => this.draw());
     new ResizeObserver(() => this.fit(box.clientWidth, box.clientHeight)).observe(box);
+    this.box = box;
   }
 
   /** A named group of shapes in the world. */
@@ -63,6 +64,24 @@ class RobotScene {
     this.draw();
   }
 
+  /** Paints links, by name, in the colour of a fault, and puts a label beside the last of them; none paints all as they were. */
+  mark(names, label = null) {
+    const marked = this.links.filter(({ name }) => names.includes(name));
+    for (const link of this.links) for (const { material, userData } of link.children) {
+      userData.colour ??= material.color.clone();
+      if (marked.includes(link)) material.color.set(0xd00020); else material.color.copy(userData.colour);
+    }
+    [this.marked, this.label] = [marked.at(-1), label];
+    this.draw();
+  }
+
+  /** Puts the label where the middle of the marked link is in the picture. */
+  placeLabel() {
+    const to = this.marked.getWorldPosition(new THREE.Vector3()).project(this.camera);
+    this.label.style.left = `${Math.round((to.x + 1) / 2 * this.box.clientWidth + 14)}px`;
+    this.label.style.top = `${Math.round((1 - to.y) / 2 * this.box.clientHeight - 12)}px`;
+  }
+
   fit(width, height) {
     if (!width || !height) return;
     this.camera.aspect = width / height;
@@ -77,6 +96,7 @@ class RobotScene {
     this.asked = requestAnimationFrame(() => {
       this.asked = 0;
       this.renderer.render(this.world, this.camera);
+      if (this.label && this.marked) this.placeLabel();
     });
   }
 }

@@ -32,7 +32,7 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
         ):
             panel.plot(rows, 1e3 * np.linalg.norm(error[:, part], axis=-1), ".", color=color, label=label)
         look.logarithmic(panel, "y")
-        panel.set(title=title, xlabel="row", ylabel=unit)
+        panel.set(title=title, xlabel="row of the measurements [-]", ylabel=f"error [{unit}]")
         panel.legend()
     change, width = 1e3 * np.stack([calibration.change, calibration.half_width])[:, :OF_ROBOT].reshape(
         2, LEG_COUNT, PER_LEG
@@ -47,7 +47,7 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
             panel.errorbar(at, *values, fmt=".", color=color, label=f"leg {leg}", elinewidth=1.0)
         names = [str(LEG_PARAMETERS[at]).replace("_", " ") for at in columns]
         panel.set_xticks(range(len(columns)), names, rotation=30, ha="right")
-        panel.set(title=f"Change of {kind}, with 95 % intervals", ylabel=f"m{unit}")
+        panel.set(title=f"Change of {kind}, with 95 % intervals", ylabel=f"change [m{unit}]")
     look.legend_below(figure, axes[0, 1].get_legend_handles_labels()[0], columns=6)
     look.save_figure(figure, path)
 
@@ -68,7 +68,7 @@ def plot_identification(identification: Identification | ServoIdentification, pa
         over_time.plot(time, np.where(used, residual, np.nan), color=look.ORANGE, label="residual", linewidth=1.0)
         over_time.plot(time, unused, color=look.GREY, label="residual, not used", linewidth=1.0)
         over_rate.plot(samples.rates[moving, leg], 1e3 * residuals[moving, leg], ".", color=look.ORANGE, markersize=2)
-        over_time.set(title=f"Motor {leg}", ylabel=unit)
+        over_time.set(title=f"Motor {leg}", ylabel=f"[{unit}]")
         over_rate.set(ylabel=f"residual [m{unit}]")
     axes[-1, 0].set(xlabel="time [s]")
     axes[-1, 1].set(xlabel="crank rate [rad/s]")
@@ -91,7 +91,7 @@ def plot_margins(margins: LoopMargins, path: str | Path) -> None:
         shares.plot(single, percent, color=color, lw=1.0, label=f"motor {motor} alone")
     all_motors = np.sort(np.minimum(margins.all_at_once.disk, _MAX_MARGIN))
     shares.plot(all_motors, percent, color=look.BLUE, lw=2.0, label="all at once")
-    shares.set(title="Share of poses with a smaller margin", xlabel="disk margin [-]", ylabel="%")
+    shares.set(title="Share of poses with a smaller margin", xlabel="disk margin [-]", ylabel="poses [%]")
     curves.set_ylim(0.0)
     shares.set_xlim(0.0)
     for panel in (curves, shares):
@@ -124,5 +124,5 @@ def plot_step(response: StepResponse, title: str, path: str | Path) -> None:
     panel.plot(response.time, response.value, color=look.BLUE)
     panel.axhspan(0.98, 1.02, color=look.SKY, alpha=0.4, linewidth=0)
     shown = 3.0 * response.settling_time if np.isfinite(response.settling_time) else response.time[-1]
-    panel.set(title=title, xlabel="time [s]", ylabel="share of the step", xlim=(0.0, min(shown, response.time[-1])))
+    panel.set(title=title, xlabel="time [s]", ylabel="share of the step [-]", xlim=(0.0, min(shown, response.time[-1])))
     look.save_figure(figure, path)

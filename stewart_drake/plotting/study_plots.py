@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -33,12 +34,11 @@ def plot_sweep(rows: Rows, varied: Mapping[str, str]) -> Figure:
 
     `varied`: column -> label of its axis.
     """
-    columns = min(3, len(varied))
-    lines = -(-len(varied) // columns)
-    figure, axes = look.panels(lines, columns, 0.6 + 2.9 * lines, sharey=True)
+    title = f"RMSE of the position; a mark is one of {len(rows)} runs, with its own seed"
+    figure, axes = _panels(title, len(varied), 3, 0.6, 2.9, sharey=True)
     completed, failed = ([row for row in rows if _completed(row) is status] for status in (True, False))
     errors = np.array([_rmse(row) for row in completed] or [1.0])
-    wide = errors.max() > 10.0 * errors.min()
+    wide = _is_wide(errors)
     top = float(errors.max()) * (2.0 if wide else 1.1)
     for panel, (key, label) in zip(axes.flat, varied.items(), strict=False):
         x_values = [_x_value(row[key]) for row in completed]
@@ -50,8 +50,6 @@ def plot_sweep(rows: Rows, varied: Mapping[str, str]) -> Figure:
             panel.set_ylim(None, 1.3 * top)
         else:
             panel.set_ylim(0.0, 1.05 * top)
-    for panel in axes.flat[len(varied) :]:
-        panel.set_axis_off()
     for panel in axes[:, 0]:
         panel.set_ylabel("RMSE [mm]")
     if failed:
@@ -73,7 +71,8 @@ def plot_map(rows: Rows, varied: Mapping[str, str]) -> Figure:
     for (j, i), _ in np.ndenumerate(cells):
         cell = [row for row in rows if (row[keys[0]], row[keys[1]]) == (across[i], up[j]) and _completed(row)]
         cells[j, i] = np.median([_rmse(row) for row in cell]) if cell else np.nan
-    figure, ((panel,),) = look.panels(1, 1, 5.0, width=6.5)
+    several = _runs(rows, keys, "; median of {} runs, each with its own seed")
+    figure, ((panel,),) = _panels(f"RMSE of the position{several}", 1, 1, 0.0, 5.0, width=6.5)
     image = panel.imshow(cells, origin="lower", aspect="auto", cmap="viridis")
     panel.set_facecolor(look.GREY)
     panel.grid(visible=False)
@@ -92,29 +91,30 @@ def plot_map(rows: Rows, varied: Mapping[str, str]) -> Figure:
 def plot_rmse(rows: Rows) -> Figure:
     """RMSE of the position by reference and controller, with a panel per condition; failures at the right edge."""
     styles = _styles(rows)
-    conditions: dict[str, list[str]] = {}
-    for row in reversed(rows):
-        conditions[row["condition"]] = list(dict.fromkeys([*conditions.get(row["condition"], []), row["reference"]]))
-    lanes = [max(2.5, len(styles)) * len(references) for references in conditions.values()][::-1]
-    height = 1.4 + 0.2 * sum(lanes) + 0.55 * len(lanes)
-    figure, axes = look.panels(len(lanes), 1, height, sharex=True, height_ratios=lanes)
-    values = [_rmse(row) for row in rows if _completed(row)] or [1.0]
-    low, high = min(values) / 2.0, max(values) * 2.0
-    for panel, (condition, references) in zip(axes.flat[::-1], conditions.items(), strict=True):
+    conditions, references = (list(dict.fromkeys(row[name] for row in rows)) for name in ("condition", "reference"))
+    several = _runs(rows, ("controller", "reference", "condition"), "; a mark is one of {} seeds of the noise")
+    height = 0.6 + 0.13 * max(3, len(styles)) * len(references)
+    figure, axes = _panels(f"RMSE of the position{several}", len(conditions), 3, 1.4, height, sharex=True, sharey=True)
+    values = np.array([_rmse(row) for row in rows if _completed(row)] or [1.0])
+    wide = _is_wide(values)
+    low, high = (values.min() / 2.0, values.max() * 2.0) if wide else (0.0, values.max() * 1.1)
+    edge = high * (high / low) ** 0.06 if wide else 1.06 * high
+    for panel, condition in zip(axes.flat, conditions, strict=False):
         for row in (row for row in rows if row["condition"] == condition):
             style, lane = styles[row["controller"]], list(styles).index(row["controller"])
-            y = references.index(row["reference"]) + (0.5 * (len(styles) - 1) - lane) * 0.8 / max(4, len(styles))
+            y = references.index(row["reference"]) + (lane - 0.5 * (len(styles) - 1)) * 0.8 / max(3, len(styles))
             if _completed(row):
-                panel.plot([low, _rmse(row)], [y, y], color=style["color"], linewidth=1.0, alpha=0.45)
                 panel.plot(_rmse(row), y, **style)
             else:
-                panel.plot(high * (high / low) ** 0.05, y, color=style["color"], **_CROSS)
-        look.logarithmic(panel, "x")
-        panel.xaxis.set_major_locator(LogLocator(numticks=12))
-        panel.set(title=condition, xlim=(low, high * (high / low) ** 0.09), ylim=(-0.5, len(references) - 0.5))
+                panel.plot(edge, y, color=style["color"], **_CROSS)
+        for number in range(0, len(references), 2):
+            panel.axhspan(number - 0.5, number + 0.5, color="#F2F2F2", zorder=0.0)
+        if wide:
+            look.logarithmic(panel, "x")
+            panel.xaxis.set_major_locator(LogLocator(numticks=7))
+        panel.set(title=condition, xlabel="RMSE [mm]", xlim=(low, edge**2 / high), ylim=(len(references) - 0.5, -0.5))
         panel.set_yticks(range(len(references)), references, fontsize=10)
         panel.grid(axis="y", visible=False)
-    axes[-1, 0].set_xlabel("RMSE [mm]")
     crosses = [] if all(map(_completed, rows)) else [Line2D([], [], color=look.TEXT, label="not completed", **_CROSS)]
     _legend(figure, styles, crosses)
     return figure
@@ -126,21 +126,25 @@ def plot_error(rows: Rows, band: float) -> Figure:
     rows = [row for row in rows if row.get("trace") and len(row["trace"]["time"])]
     styles = {name: {"color": style["color"]} for name, style in _styles(rows).items()}
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
-    figure, axes = look.panels(len(conditions), 1, 1.3 + 2.3 * len(conditions), sharex=True, sharey=True)
+    several = _runs(rows, ("controller", "condition"), "; a curve is one of {} seeds of the noise")
+    title = f"Error of the pose on: {rows[0]['reference']}{several}"
+    figure, axes = _panels(title, len(conditions), 1, 1.3, 2.3, sharex=True, sharey=True)
     for row in rows:
         panel, color = axes[conditions.index(row["condition"]), 0], styles[row["controller"]]["color"]
-        # The axis is logarithmic, and errors may be zero; null becomes NaN.
+        # The axis may be logarithmic, and errors zero; null becomes NaN.
         error = np.clip(np.array(row["trace"]["pose_mm"], dtype=float), 0.1 * _MIN_DRAWN, look.LARGEST_DRAWN)
         panel.plot(row["trace"]["time"], error, color=color, linewidth=1.5)
         if row["status"] != "completed":
             panel.plot(row["trace"]["time"][-1], error[-1], color=color, **_CROSS)
     errors = [min(value, look.LARGEST_DRAWN) for row in rows for value in row["trace"]["pose_mm"] if value] or [band]
-    limits = max(_MIN_DRAWN, 0.3 * float(np.percentile(errors, 2.0))), 2.0 * max(errors)
+    wide = max(errors) > 10.0 * float(np.median(errors))
+    limits = max(_MIN_DRAWN, 0.3 * float(np.percentile(errors, 2.0))) if wide else 0.0, 2.0 * max(errors)
     has_band = limits[0] < band < limits[1]
     for panel, condition in zip(axes.flat, conditions, strict=True):
         if has_band:
             panel.axhline(band, **_DASHED)
-        look.logarithmic(panel, "y")
+        if wide:
+            look.logarithmic(panel, "y")
         panel.set(title=condition, ylabel="pose error [mm]")
     axes[0, 0].set_ylim(*limits)
     axes[-1, 0].set_xlabel("time [s]")
@@ -184,18 +188,16 @@ def plot_bands(rows: Rows) -> Figure:
 def plot_search(rows: Rows) -> Figure:
     """Costs of all evaluations, and the least cost so far, with a panel per controller."""
     names = list(dict.fromkeys(row["controller"] for row in rows))
-    columns = min(2, len(names))
-    lines = -(-len(names) // columns)
-    figure, axes = look.panels(lines, columns, 0.6 + 2.4 * lines, sharex=True, sharey=True)
+    title = "Cost of the settings that the search tried"
+    figure, axes = _panels(title, len(names), 2, 0.6, 2.4, sharex=True, sharey=True)
     for panel, name in zip(axes.flat, names, strict=False):
         trials = [row for row in rows if row["controller"] == name]
         number, costs, best = ([row[key] for row in trials] for key in ("evaluation", "cost", "best"))
-        panel.plot(number, costs, ".", color=look.GREY, markersize=4.0)
-        panel.step(number, best, where="post", color=look.BLUE, linewidth=1.8)
+        panel.plot(number, costs, ".", color=look.GREY, markersize=4.0, label="evaluation")
+        panel.step(number, best, where="post", color=look.BLUE, linewidth=1.8, label="least so far")
         look.logarithmic(panel, "y")
-        panel.set(title=f"{name}: {best[0]:.3g} to {best[-1]:.3g}", xlabel="evaluation", ylabel="cost [-]")
-    for panel in axes.flat[len(names) :]:
-        panel.set_axis_off()
+        panel.set(title=f"{name}: {best[0]:.3g} to {best[-1]:.3g}", xlabel="evaluation [-]", ylabel="cost [-]")
+    look.legend_below(figure, axes[0, 0].get_legend_handles_labels()[0], size=9.0)
     return figure
 
 
@@ -213,9 +215,37 @@ def plot_costs(kinds: Sequence[str], ratios: Mapping[str, ArrayLike], baseline: 
         panel.plot(value, y, marker, color=color, markersize=5.0, label=name)
     look.logarithmic(panel, "x")
     panel.set_yticks(rows, kinds)
-    panel.set(title=f"Cost in new situations, relative to: {baseline}", xlabel="ratio [-], lower is better")
+    panel.set_ylim(-0.7, len(kinds) - 0.3)
+    title = f"Cost in new situations, relative to: {baseline}; lines are 95 % intervals over the runs"
+    panel.set(title=title, xlabel="ratio [-], lower is better")
     panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
+
+
+def _is_wide(values: np.ndarray) -> bool:
+    """Whether values, which are not negative, need a logarithmic axis; otherwise it is linear from zero."""
+    return bool(values.max() > 10.0 * values.min())
+
+
+def _panels(
+    title: str, count: int, columns: int, rest: float, height: float, **subplots: Any
+) -> tuple[Figure, np.ndarray]:
+    """A figure with a title and `count` panels of a height in up to some columns; `rest` is added to the height."""
+    columns = min(columns, count)
+    lines = -(-count // columns)
+    figure, axes = look.panels(lines, columns, rest + height * lines, **subplots)
+    for panel in axes.flat[count - columns : count]:
+        panel.tick_params(labelbottom=True)
+    for panel in axes.flat[count:]:
+        panel.set_axis_off()
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    return figure, axes
+
+
+def _runs(rows: Rows, keys: Sequence[str], text: str) -> str:
+    """A text with the largest number of runs that differ in none of `keys`; empty if that is one."""
+    most = max(Counter(tuple(row[key] for key in keys) for row in rows).values())
+    return text.format(most) if most > 1 else ""
 
 
 def _x_value(value: float | str) -> float | str:

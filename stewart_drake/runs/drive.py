@@ -206,7 +206,7 @@ class Drive:
         self._pace = Pace(self._period)
         self._first_number = 0  # Number of the first reading.
         self._stopped_by: RunFailure | KeyboardInterrupt | None = None
-        self._stop_requested = False
+        self._stop_requested, self._wall_time = False, 0.0
         self._motion.stop(start.duration - RAMP)
 
     def _begin(self, start: Start) -> None:
@@ -244,12 +244,13 @@ class Drive:
         The log has the outcome. If the drive ends before its first tick, the reason is raised instead. A lost machine
         ends the drive at once.
         """
-        start_time = time.monotonic()
-        ended_by = self.go(progress)
+        return self.log(self.go(progress))
+
+    def log(self, ended_by: RunFailure | KeyboardInterrupt | None) -> SimulationLog:
+        """The log after `go`, which returned `ended_by`."""
         if ended_by is not None and not self._rows:
             raise ended_by
-        trip, wall = self._controller.first_trip, time.monotonic() - start_time
-        fields = self._rows.log_fields(ended_by, safety=trip, wall_time=wall)
+        fields = self._rows.log_fields(ended_by, safety=self._controller.first_trip, wall_time=self._wall_time)
         if (odd := self.odd_tick) is not None:
             tick = {"name": "machine_tick", "time": self.time, "number": self._clock.tick, "text": odd}
             fields["warnings"] = (*fields["warnings"], tick)
@@ -257,8 +258,10 @@ class Drive:
 
     def go(self, progress: Callable[[float], None] | None = None) -> RunFailure | KeyboardInterrupt | None:
         """Drives the machine as `run` does, but returns no log; returns the reason of an early end."""
+        start_time = time.monotonic()
         with real_time():
             self._go(progress)
+        self._wall_time = time.monotonic() - start_time
         return self._stopped_by
 
     def _go(self, progress: Callable[[float], None] | None) -> None:

@@ -168,17 +168,56 @@ def test_a_step_and_a_sine_give_their_figures_of_both_robots():
     live = session()
     live.loop.advance(200)
     do(live, do="ghost", controller="PID of each motor")
-    do(live, do="test", kind="step", axis="Z")
-    assert live.row()["test"] == "step of Z: under way"
+    do(live, do="test", kind="step", axis="Z", size=0.00114)
+    assert live.row()["test"] == "step of Z, 1.14 mm: under way"
     live._for_all(lambda loop: loop.advance(2100))
-    assert live.row()["test"].startswith("step of Z, 1.1 mm: rise ")
+    assert live.row()["test"].startswith("step of Z, 1.14 mm: rise ")
     assert "; pale, PID of each motor: rise " in live.row()["test"]
-    do(live, do="test", kind="sine", axis="roll", frequency=2.0)
+    do(live, do="test", kind="sine", axis="roll", size=0.01, frequency=2.0)
     live._for_all(lambda loop: loop.advance(2100))
-    assert "sine of roll, 0.57 deg, 2 Hz: gain 1.0" in live.row()["test"].replace("gain 0.99", "gain 1.0")
+    assert "sine of roll, 0.573 deg, 2 Hz: gain 1.0" in live.row()["test"].replace("gain 0.99", "gain 1.0")
     assert len(live.row()["links"]) == 7 * (14 + 13)
     do(live, do="ghost", controller=None)
     assert len(live.row()["links"]) == 7 * 14
+
+
+def test_the_curves_of_a_step_are_those_of_both_robots_and_begin_with_it():
+    live = session()
+    assert live.curves() == {}
+    live.loop.advance(200)
+    do(live, do="ghost", controller="PID of each motor")
+    do(live, do="test", kind="step", axis="yaw", size=0.004)
+    live._for_all(lambda loop: loop.advance(2100))
+    curves = live.curves()
+    time, response, beside = (np.array(curves[name]) for name in ("time", "response", "beside"))
+    assert curves["axis"] == 2
+    assert set(curves["reference"]) == {0.004}
+    assert time[0] < 0.002
+    assert abs(response[0]) < 1e-4
+    assert response[-1] == pytest.approx(0.004, rel=1e-2)
+    assert np.abs(beside - response).max() > 1e-4
+
+
+@pytest.mark.parametrize("size", [0.0, 0.5, -0.5])
+def test_a_test_that_cannot_be_done_is_refused(size):
+    live = session()
+    do(live, do="test", kind="sine", axis="Z", size=size)
+    assert live.loop.test is None
+    assert live.message.startswith(("amplitude: expected a number other than 0", "amplitude: expected at most "))
+
+
+def test_the_cause_of_an_end_has_its_leg_limit_and_time():
+    live = session()
+    live.loop.advance(500)
+    assert live.row()["cause"] is None
+    do(live, do="dead", leg=4)
+    live.loop.advance(2000)
+    cause = live.row()["cause"]
+    assert (cause["reason"], cause["leg"]) == ("unexplained_torque", 4)
+    assert (cause["key"], cause["limit"], cause["unit"]) == ("unexplained_torque", [0.2], "")
+    assert 0.5 < cause["time"] < live.loop.time
+    do(live, do="reset")
+    assert live.row()["cause"] is None
 
 
 def test_a_sine_of_a_loop_of_first_order_has_its_gain_and_phase():
@@ -189,7 +228,7 @@ def test_a_sine_of_a_loop_of_first_order_has_its_gain_and_phase():
         probe.watch(time, np.array([0, 0, 0, 0, 0, value]), 0.0)
     turn = 2.0 * np.pi * 2.0 * tau
     gain, phase = 1.0 / np.hypot(1.0, turn), -np.degrees(np.arctan(turn))
-    assert probe.result.endswith(f"2 Hz: gain {gain:.3f}, phase {phase:.1f} deg")
+    assert probe.text.endswith(f"2 Hz: gain {gain:.3f}, phase {phase:.1f} deg")
 
 
 def test_pausing_and_a_tick_move_the_clock_by_a_period():

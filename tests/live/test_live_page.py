@@ -36,9 +36,9 @@ HAS_ROWS = "typeof last !== 'undefined' && last !== null"
 class Live:
     """A live session started from the shell."""
 
-    def __init__(self, *args):
+    def __init__(self, *args, folder=None):
         command = [sys.executable, "-m", "stewart_drake", "live", *args, "--no-browser"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=folder)
         self.url = re.search(r"http://localhost:\d+/", self.process.stdout.readline())[0]
 
     def end(self, number=signal.SIGINT):
@@ -197,11 +197,9 @@ def test_small_errors_have_a_unit_that_shows_them(page):
     }
     assert {value: page.evaluate(f"measured({value}, 'm')") for value in texts} == texts
     # Ticks of an axis are all in one unit, and none says 0 for another number.
-    assert page.evaluate("[0, 5e-7, 1e-6].map((tick) => measured(tick, 'deg', 6, 1e-6))") == [
-        "0 µdeg",
-        "0.5 µdeg",
-        "1 µdeg",
-    ]
+    ticks = "[0, 5e-7, 1e-6].map((tick) => measured(tick, 'm', 6, 1e-6))"
+    assert page.evaluate(ticks) == ["0 µm", "0.5 µm", "1 µm"]
+    assert page.evaluate("measured(0.0006, 'deg')") == "0.0006 deg"
 
 
 def test_a_page_of_another_origin_neither_reads_nor_ends_the_session(page, browser, live):
@@ -346,9 +344,43 @@ def test_the_second_robot_is_in_the_plots(page):
     wait(page, "traces.error.data[2].every((value) => value === null)")
 
 
-def test_a_step_is_asked_for_and_its_figures_are_shown(page):
+def test_a_step_is_asked_for_and_its_figures_and_curves_are_shown(page):
+    page.fill("#test-size", "2")
     page.click("#test-step")
-    wait(page, "document.getElementById('test-result').textContent.startsWith('step of Z')", 60_000)
+    wait(
+        page, "document.querySelector('.test .u-title')?.textContent.startsWith('change of Z; step of Z, 2 mm: rise ')"
+    )
+    assert page.inner_text("#test-result").startswith("rise ")
+
+
+def test_keys_pause_move_and_reset_but_not_while_something_is_typed(page):
+    page.keyboard.press(" ")
+    wait(page, "last.paused")
+    page.keyboard.press(" ")
+    wait(page, "!last.paused")
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("Shift+ArrowUp")
+    wait(page, "last.target[3] > about.home[3] + 0.001 && last.target[5] > about.home[5] + 0.001")
+    page.focus("#test-size")
+    page.keyboard.press("r")
+    page.keyboard.press("ArrowRight")
+    page.evaluate("document.activeElement.blur()")
+    wait(page, "!sending && last.obeyed >= told && last.target[3] > about.home[3] + 0.001")
+    page.keyboard.press("r")
+    wait(page, "Math.abs(last.target[3] - about.home[3]) < 1e-9 && last.time < 5")
+
+
+@pytest.mark.parametrize("height", [720, 900])
+def test_the_page_has_one_scrollbar_and_shows_what_ended_a_run(page, height):
+    page.set_viewport_size({"width": 1280, "height": height})
+    scrolls = """[...document.querySelectorAll('body *')].filter((each) =>
+        ['auto', 'scroll'].includes(getComputedStyle(each).overflowY) && each.scrollHeight > each.clientHeight)"""
+    assert page.evaluate(f"{scrolls}.length") == 0
+    assert page.evaluate("document.documentElement.scrollWidth") <= 1280
+    page.evaluate("tell({ do: 'push', wrench: [0, 0, 0, 5000, 0, 0], duration: 0.5 }); undefined")
+    wait(page, "last.cause && !document.getElementById('cause').hidden")
+    page.click("#reset")
+    wait(page, "document.getElementById('cause').hidden")
 
 
 def test_sliders_of_the_machine_and_of_the_model_are_independent(page):
@@ -358,8 +390,8 @@ def test_sliders_of_the_machine_and_of_the_model_are_independent(page):
     page.click("#reset")
 
 
-def test_a_page_that_steers_a_machine(browser):
-    session = Live("reachy_servos", "--machine", "sim:")
+def test_a_page_that_steers_a_machine_and_leaves_a_log(browser, tmp_path):
+    session = Live("reachy_servos", "--machine", "sim:", folder=tmp_path)
     page, errors = opened(browser, session.url, width=390)
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     assert page.inner_text("#name") == "reachy_servos on sim:"
@@ -374,8 +406,10 @@ def test_a_page_that_steers_a_machine(browser):
     wait(page, f"{apart} > 0 && {apart} < 0.005")
     page.click("#stop")
     wait(page, "last.ended === 'stopped'")
-    assert session.process.wait(20) == 0
+    assert session.process.wait(60) == 0
     session.process.stdout.close()
+    log = load_log(tmp_path / "runs" / "reachy_servos")
+    assert np.degrees(np.ptp(log["reference"][:, 2])) == pytest.approx(5.0, abs=0.1)
     wait(page, "document.getElementById('gone').textContent.startsWith('Ended: stopped. No connection')")
     assert errors == []
     page.close()
