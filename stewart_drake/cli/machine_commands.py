@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from stewart_drake.base.registry import DANCES
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.run_commands import exit_unless_completed, load_learnt, save_learnt, write_results
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
         "What to drive: reachy://HOST:PORT, udp://HOST:PORT, serial:DEVICE, sim: or mine.py:MyMachine.", required=True
     ),
     seconds=opt.option("Seconds of the motion [default: the scenario's duration].", opt.SECONDS, "--for"),
+    dance=opt.option("Play this dance of Reachy Mini, or move FILE.json, fixed if need be.", metavar="NAME"),
     mcap=opt.switch("Also write run.mcap, for Foxglove."),
     dry=opt.switch("Connect, read and plan; move nothing."),
     out=opt.option("Folder for the results [default: runs/NAME, or runs/NAME-2, ...].", opt.PATH),
@@ -35,6 +37,7 @@ def drive(
     machine: str,
     overrides: tuple[str, ...],
     seconds: float | None,
+    dance: str | None,
     mcap: bool,
     dry: bool,
     out: Path | None,
@@ -54,6 +57,8 @@ def drive(
     from stewart_drake.runs.drive import Drive, as_logged, connected, drive_controller
 
     loaded = load_learnt(load_driven, scenario, overrides, keep_model, trust_code)
+    if dance is not None:
+        loaded = DANCES["reachy_mini"](loaded, dance, force)
     if out is not None:
         check_run_folder(as_logged(loaded), out, force, duration=False)
     if mcap:
