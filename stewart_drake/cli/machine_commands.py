@@ -114,9 +114,14 @@ def _print_plan(loaded: Scenario, url: str, machine: Machine, start: Start) -> N
 @command(
     "export",
     c=opt.option("Folder for the controller as C99.", opt.OUT_FOLDER, "--c"),
-    fmu=opt.option("Folder for controller and robot as FMI 3.0 units.", opt.OUT_FOLDER, "--fmu"),
+    fmu=opt.option("Folder for controller and robot as units of co-simulation.", opt.OUT_FOLDER, "--fmu"),
+    fmi=opt.option(
+        "Version of FMI of these units; in 2 all variables are scalars.", click.Choice(["2", "3"]), default="3"
+    ),
 )
-def export(scenario: str, c: Path | None, fmu: Path | None, overrides: tuple[str, ...], trust_code: bool) -> None:
+def export(
+    scenario: str, c: Path | None, fmu: Path | None, fmi: str, overrides: tuple[str, ...], trust_code: bool
+) -> None:
     """SCENARIO, or a file of a controller alone, becomes a header and a source of C99 that needs only math.h.
 
     The folder also has the reference as a table, a replay with which `make check` compares commands, and an example for
@@ -132,7 +137,7 @@ def export(scenario: str, c: Path | None, fmu: Path | None, overrides: tuple[str
     loaded = load_driven(scenario, overrides, trust_code)
     with shown_compiling():
         written = [] if c is None else export_controller(loaded, loaded.name, c)
-        written += [] if fmu is None else write_units(loaded, loaded.name, fmu)
+        written += [] if fmu is None else write_units(loaded, loaded.name, fmu, 2 if fmi == "2" else 3)
     print_table(loaded.name, [(str(path), f"{path.stat().st_size / 1024.0:.0f} KB") for path in written])
     if c is not None:
         if c / "board.c" not in written:

@@ -10,7 +10,7 @@ import pytest
 
 from stewart_drake import run, run_metrics
 from stewart_drake.reachy.commands import scenario_to_play
-from stewart_drake.reachy.moves import HEAD_HEIGHT, Move, move_json, read_move
+from stewart_drake.reachy.moves import HEAD_HEIGHT, Move, dances, move_json, read_move
 from stewart_drake.scenario.scenario import load_driven
 
 makers = pytest.mark.skipif(
@@ -126,6 +126,18 @@ def test_a_move_that_breaks_a_limit_is_played_fixed_and_no_faster_than_the_motor
     assert errors[0] < 0.5 * errors[1]
     nod = scenario_to_play(scenario, str(folder / "nod.json"), force=False)
     assert (nod.reference.motion_file, nod.reference.time_scale) == (str(folder / "nod.json"), 1.0)
+
+
+@pytest.mark.long
+@makers
+def test_all_dances_are_played_to_the_end(tmp_path, monkeypatch, capsys):
+    """As docs/reachy_mini.md counts them."""
+    monkeypatch.chdir(tmp_path)
+    scenario = load_driven("reachy_servos").replace({"plant": {"kind": "closed_form"}})
+    logs = {name: run(scenario_to_play(scenario, name, force=False), check=False) for name in dances()}
+    assert {log.status for log in logs.values()} == {"completed"}
+    told = capsys.readouterr().out
+    assert (len(logs), told.count(": fixed, "), told.count("as long, for its motors")) == (20, 7, 6)
 
 
 @pytest.mark.parametrize(
