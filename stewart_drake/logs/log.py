@@ -198,7 +198,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return to_mcap(self)
 
     def to_mat(self) -> bytes:
-        """A MATLAB file: signals (n, k) by name; `units` and `columns`, structs of cells by signal; scenario, outcome."""
+        """A MATLAB file: signals (n, k) by name, `units` and `columns` (structs of cells), scenario and outcome."""
         from scipy.io import savemat
 
         columns, units = dict[str, np.ndarray](), dict[str, np.ndarray]()
