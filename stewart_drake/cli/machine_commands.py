@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     ),
     seconds=opt.option("Seconds of the motion [default: the scenario's duration].", opt.SECONDS, "--for"),
     dance=opt.option("Play this dance of Reachy Mini, or move FILE.json, fixed if need be.", metavar="NAME"),
-    mcap=opt.switch("Also write run.mcap, for Foxglove."),
+    mcap=opt.switch("Also write run.mcap, for Foxglove and Rerun."),
     dry=opt.switch("Connect, read and plan; move nothing."),
     out=opt.option("Folder for the results [default: runs/NAME, or runs/NAME-2, ...].", opt.PATH),
 )
