@@ -209,7 +209,7 @@ class SimulationLog(Mapping[str, np.ndarray]):
         return file.getvalue()
 
     def save(self, path: str | Path) -> None:
-        """Writes the log to a file, .parquet, .csv, .mat for MATLAB and Octave, or .mcap for Foxglove.
+        """Writes the log to a file, .parquet, .csv, .mat for MATLAB and Octave, or .mcap for Foxglove and Rerun.
 
         Raises:
             ConfigurationError: Another ending; the folder is missing or not writable.
