@@ -11,7 +11,7 @@ import zipfile
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -86,11 +86,7 @@ def write_units(options: ControlOptions, name: str, folder: Path, fmi: Fmi = 3) 
     return write_files(folder, units)
 
 
-class _Variable(NamedTuple):
-    name: str
-    place: str  # In the struct of the unit.
-    start: np.ndarray
-    is_input: bool
+_Variable = tuple[str, str, np.ndarray, bool]  # Name, place in the unit's struct, start, whether it is an input.
 
 
 def _unit(
@@ -108,10 +104,10 @@ def _unit(
     Inputs and outputs are by name, with their numbers at the start; `arguments` are those of its function `step`.
     """
     arrays = {**inputs, **outputs}
-    variables = [_Variable(name, name, start, name in inputs) for name, start in arrays.items()]
+    variables: list[_Variable] = [(name, name, start, name in inputs) for name, start in arrays.items()]
     if fmi == 2:
         variables = [
-            _Variable(f"{name}[{k + 1}]", f"{name}[{k}]", start[k : k + 1], is_input)
+            (f"{name}[{k + 1}]", f"{name}[{k}]", start[k : k + 1], is_input)
             for name, _, start, is_input in variables
             for k in range(start.size)
         ]
@@ -126,9 +122,8 @@ def _unit(
     words["STEP"] = f"return {prefix}_step(&u->inner, {arguments}) == 0 && ++u->steps > 0.0;"
     words["FIELDS"] = "\n".join(f"    double {name}[{start.size}];" for name, start in arrays.items())
     words |= {"INIT": f"{prefix}_init(&u->inner);", "WHY": f"{prefix}_why"}
-    words["TABLE"] = "\n".join(
-        f"    {{offsetof(unit, {each.place}), {each.start.size}, {str(each.is_input).lower()}}}," for each in variables
-    )
+    rows = ((place, start.size, str(is_input).lower()) for _, place, start, is_input in variables)
+    words["TABLE"] = "\n".join(f"    {{offsetof(unit, {place}), {size}, {flag}}}," for place, size, flag in rows)
     starts = ((name, k, number(x).text) for name, start in arrays.items() for k, x in enumerate(start))
     words["START"] = "\n".join(f"    u->{name}[{k}] = {text};" for name, k, text in starts)
     words["API"] = from_template(f"fmi{fmi}.c", words)
@@ -173,22 +168,21 @@ def _described(fmi: Fmi, sources: dict[str, str], variables: list[_Variable]) ->
     rows = [f"<Float64 {time}/>" if fmi == 3 else f"<ScalarVariable {time}><Real/></ScalarVariable>"]
     for k, (name, _, values, is_input) in enumerate(variables, start=1):
         start = f" start={quoteattr(' '.join(repr(float(x)) for x in values))}" if is_input else ""
-        kind = f'name="{name}" valueReference="{k}" causality="{"input" if is_input else "output"}"'
-        kind += ' variability="discrete"'
+        way = "input" if is_input else "output"
+        kind = f'name="{name}" valueReference="{k}" causality="{way}" variability="discrete"'
         if fmi == 3:
             rows.append(f'<Float64 {kind}{start}><Dimension start="{values.size}"/></Float64>')
         else:
             rows.append(f"<ScalarVariable {kind}><Real{start}/></ScalarVariable>")
-    outputs = [k for k, each in enumerate(variables, start=1) if not each.is_input]
+    outputs = [k for k, (*_, is_input) in enumerate(variables, start=1) if not is_input]
     if fmi == 3:
         structure = "".join(f'<{tag} valueReference="{k}"/>' for tag in ("Output", "InitialUnknown") for k in outputs)
     else:
         # By its place in the list, which begins with the time.
         unknown = "".join(f'<Unknown index="{k + 1}"/>' for k in outputs)
         structure = "".join(f"<{tag}>{unknown}</{tag}>" for tag in ("Outputs", "InitialUnknowns"))
-    compiled = "".join(
-        f'<{"SourceFile" if fmi == 3 else "File"} name="{file}"/>' for file in sources if file.endswith(".c")
-    )
+    tag = "SourceFile" if fmi == 3 else "File"
+    compiled = "".join(f'<{tag} name="{file}"/>' for file in sources if file.endswith(".c"))
     token = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:32]
     words = {"TOKEN": token, "VERSION": __version__, "COMPILED": compiled}
     return words | {"VARIABLES": "\n".join(rows), "STRUCTURE": structure}

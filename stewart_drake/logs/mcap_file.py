@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +27,6 @@ _SCENE_RATE = 30.0  # [1/s] of the scene's updates, at most.
 _POSES = ("pose", "reference", "measured_pose")
 _COLOURS = {"cranks": (0.84, 0.37, 0.0), "rods": (0.5, 0.52, 0.58), "platform": (0.0, 0.45, 0.7)}
 _LINE_LIST, _LINE_LOOP = 2, 1  # Types of foxglove.LinePrimitive.
-_OBJECT = {"type": "object"}
 _CDR = b"\x00\x01\x00\x00"  # Before a message: little-endian.
 _STAMPED = "\n".join(
     (
@@ -39,7 +38,12 @@ _STAMPED = "\n".join(
         "MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w",
     )
 ).replace("\nMSG", f"\n{80 * '='}\nMSG")
-_TIME = {"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+_TIME = '{"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}'
+_LIST = '{"type": "array", "items": {"type": "object"}}'
+_JOINTS = (
+    f'{{"title": "foxglove.JointStates", "type": "object", "properties": {{"timestamp": {_TIME}, "joints": {_LIST}}}}}'
+)
+_SCENE = f'{{"title": "foxglove.SceneUpdate", "type": "object", "properties": {{"entities": {_LIST}}}}}'
 
 
 def check_mcap() -> None:
@@ -63,26 +67,21 @@ def to_mcap(log: SimulationLog) -> bytes:
     writer.add_metadata("stewart_drake", {"scenario": log.scenario.name, "status": log.status})
     times = [round(1e9 * float(time)) for time in log.time]
     for topic, name, schema, messages in _topics(log):
-        if isinstance(schema, str):
-            schema_of, coded, text = "ros2msg", "cdr", schema
-        else:
-            schema_of, coded = "jsonschema", "json"
-            text = json.dumps({"title": name, "type": "object", "properties": schema})
-        channel = writer.register_channel(topic, coded, writer.register_schema(name, schema_of, text.encode()))
+        language, coding = ("jsonschema", "json") if schema.startswith("{") else ("ros2msg", "cdr")
+        channel = writer.register_channel(topic, coding, writer.register_schema(name, language, schema.encode()))
         for row, message in messages:
-            data = message if isinstance(message, bytes) else json.dumps(message).encode()
-            writer.add_message(channel, times[row], data, times[row])
+            writer.add_message(channel, times[row], message, times[row])
     writer.finish()  # type: ignore[no-untyped-call]
     return file.getvalue()
 
 
 _Stamps = list[dict[str, int]]  # Seconds and nanoseconds by row.
-_Message = tuple[int, dict[str, object] | bytes]  # Row of the log; JSON object, or message of ROS 2.
-_Topic = tuple[str, str, Mapping[str, object] | str, Iterator[_Message]]
+_Message = tuple[int, bytes]  # Row of the log, and message: JSON, or of ROS 2.
+_Topic = tuple[str, str, str, Iterator[_Message]]
 
 
 def _topics(log: SimulationLog) -> Iterator[_Topic]:
-    """Name, name of the schema, its properties or its text of ROS 2, and messages of the topics."""
+    """Name, name of the schema, the schema, of JSON or of ROS 2, and messages of the topics."""
     stamps = [{"sec": int(time), "nsec": round(1e9 * (float(time) % 1.0)) % 10**9} for time in log.time]
     for name, values in log.signals.items():
         columns = log.state_names if name == "plant_state" else SIGNALS[name].components or ("value",)
@@ -94,12 +93,11 @@ def _topics(log: SimulationLog) -> Iterator[_Topic]:
     for name in _POSES:
         if name in log:
             yield f"/{name}_in_base", "geometry_msgs/msg/PoseStamped", _STAMPED, _poses(stamps, log[name])
-    joints = {"timestamp": _TIME, "joints": {"type": "array", "items": _OBJECT}}
     angles = log.signals.get("crank_angle", log.signals.get("reading"))
     if angles is not None and is_measured(log.signals):
-        yield "/joint_states", "foxglove.JointStates", joints, _joints(stamps, log, angles)
+        yield "/joint_states", "foxglove.JointStates", _JOINTS, _joints(stamps, log, angles)
     if "pose" in log:
-        yield "/scene", "foxglove.SceneUpdate", {"entities": {"type": "array", "items": _OBJECT}}, _scene(stamps, log)
+        yield "/scene", "foxglove.SceneUpdate", _SCENE, _scene(stamps, log)
 
 
 def _numbers(values: np.ndarray) -> Iterator[_Message]:
@@ -129,7 +127,7 @@ def _joints(stamps: _Stamps, log: SimulationLog, angles: np.ndarray) -> Iterator
         joints = [{"name": f"motor_{i}", "position": angle} for i, angle in enumerate(positions)]
         if torques is not None:
             joints = [{**joint, "effort": float(torques[row, i])} for i, joint in enumerate(joints)]
-        yield row, {"timestamp": stamps[row], "joints": joints}
+        yield row, json.dumps({"timestamp": stamps[row], "joints": joints}).encode()
 
 
 def _scene(stamps: _Stamps, log: SimulationLog) -> Iterator[_Message]:
@@ -153,7 +151,8 @@ def _scene(stamps: _Stamps, log: SimulationLog) -> Iterator[_Message]:
             {"type": kind, "pose": base, "points": [_point(p) for p in points], "color": _colour(name), **thickness}
             for name, kind, points in lines
         ]
-        yield row, {"deletions": [], "entities": [{**entity, "frame_locked": False, "metadata": [], "lines": drawn}]}
+        entities = [{**entity, "frame_locked": False, "metadata": [], "lines": drawn}]
+        yield row, json.dumps({"deletions": [], "entities": entities}).encode()
 
 
 def _colour(name: str) -> dict[str, float]:

@@ -30,7 +30,9 @@ def read(log, tmp_path):
     made = defaultdict(list)
     with (tmp_path / "run.mcap").open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():
-            content = json.loads(message.data) if channel.message_encoding == "json" else ros(schema, message.data)
+            is_json = channel.message_encoding == "json"
+            assert not is_json or json.loads(schema.data)["title"] == schema.name
+            content = json.loads(message.data) if is_json else ros(schema, message.data)
             made[channel.topic].append((schema.name, message.log_time, content))
     return made
 
