@@ -1,10 +1,10 @@
 """The robot's side of docs/wire.md over UDP, with Python's standard library alone; your motors go where it says so."""
 
+import argparse
 import math
 import select
 import socket
 import struct
-import sys
 import time
 import zlib
 
@@ -82,4 +82,8 @@ def serve(motors, port, period=PERIOD, host="127.0.0.1"):
 
 
 if __name__ == "__main__":
-    serve(Motors(), int(sys.argv[1]), *map(float, sys.argv[2:]))
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("port", type=int)
+    options.add_argument("period", type=float, nargs="?", default=PERIOD, help="[s], that of the controller")
+    given = options.parse_args()
+    serve(Motors(), given.port, given.period)

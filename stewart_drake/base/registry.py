@@ -109,6 +109,9 @@ MACHINES = Table({"reachy": "reachy.machine:ReachyMachine", "udp": "machines.udp
 RECORDINGS = Table({".json": "reachy.moves:read_rows"})
 """Ending of a file with a recorded motion -> a function from its path to rows (n, 7) [s, rad, m]; tables need none."""
 
+DANCES = Table({"reachy_mini": "reachy.commands:scenario_to_play"})
+"""Robot -> a function of a scenario, a name or file of a move, and `force`, to the scenario that plays it."""
+
 
 def _faults(*kinds: str, **others: str) -> Table:
     return Table({kind: f"hardware.faults:{others.get(kind, kind).upper()}" for kind in (*kinds, *others)})

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from stewart_drake.base.registry import DANCES
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.run_commands import exit_unless_completed, load_learnt, save_learnt, write_results
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
         "What to drive: reachy://HOST:PORT, udp://HOST:PORT, serial:DEVICE, sim: or mine.py:MyMachine.", required=True
     ),
     seconds=opt.option("Seconds of the motion [default: the scenario's duration].", opt.SECONDS, "--for"),
-    mcap=opt.switch("Also write run.mcap, for Foxglove."),
+    dance=opt.option("Play this dance of Reachy Mini, or move FILE.json, fixed if need be.", metavar="NAME"),
+    mcap=opt.switch("Also write run.mcap, for Foxglove and Rerun."),
     dry=opt.switch("Connect, read and plan; move nothing."),
     out=opt.option("Folder for the results [default: runs/NAME, or runs/NAME-2, ...].", opt.PATH),
 )
@@ -35,6 +37,7 @@ def drive(
     machine: str,
     overrides: tuple[str, ...],
     seconds: float | None,
+    dance: str | None,
     mcap: bool,
     dry: bool,
     out: Path | None,
@@ -54,6 +57,8 @@ def drive(
     from stewart_drake.runs.drive import Drive, as_logged, connected, drive_controller
 
     loaded = load_learnt(load_driven, scenario, overrides, keep_model, trust_code)
+    if dance is not None:
+        loaded = DANCES["reachy_mini"](loaded, dance, force)
     if out is not None:
         check_run_folder(as_logged(loaded), out, force, duration=False)
     if mcap:
@@ -109,7 +114,10 @@ def _print_plan(loaded: Scenario, url: str, machine: Machine, start: Start) -> N
 @command(
     "export",
     c=opt.option("Folder for the controller as C99.", opt.OUT_FOLDER, "--c"),
-    fmu=opt.option("Folder for controller and robot as FMI 3.0 units.", opt.OUT_FOLDER, "--fmu"),
+    fmu=opt.option("Folder for controller and robot as units of co-simulation.", opt.OUT_FOLDER, "--fmu"),
+    fmi=opt.option(
+        "Version of FMI of these units; in 2 all variables are scalars.", click.Choice(["2", "3"]), default="3"
+    ),
     sketch=opt.option("Folder for the program of a board with six hobby servos.", opt.OUT_FOLDER, "--sketch"),
     board=opt.option(
         "Board of the sketch: computer, pca9685, rp2040, sts or dynamixel; computer needs no hardware.",
@@ -120,6 +128,7 @@ def export(
     scenario: str,
     c: Path | None,
     fmu: Path | None,
+    fmi: str,
     sketch: Path | None,
     board: str,
     overrides: tuple[str, ...],
@@ -141,7 +150,7 @@ def export(
     loaded = load_driven(scenario, overrides, trust_code)
     with shown_compiling():
         written = [] if c is None else export_controller(loaded, loaded.name, c)
-        written += [] if fmu is None else write_units(loaded, loaded.name, fmu)
+        written += [] if fmu is None else write_units(loaded, loaded.name, fmu, 2 if fmi == "2" else 3)
         written += [] if sketch is None else export_sketch(loaded, loaded.name, sketch, board)
     print_table(loaded.name, [(str(path), f"{path.stat().st_size / 1024.0:.0f} KB") for path in written])
     if c is not None:

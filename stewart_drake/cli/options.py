@@ -38,6 +38,7 @@ COMMANDS = {
     "moves check": About(_MOVES, "dances", "Check recorded moves against every limit of the head"),
     "moves fix": About(_MOVES, "dances", "Change moves, as little as possible, until they are feasible"),
     "moves export": About(_MOVES, "dance:simple_nod", "Write moves as the maker's JSON, also shaped for the servos"),
+    "moves play": About(_MOVES, "simple_nod", "Play a dance or a recorded move, in simulation or on a machine"),
     "compare": About("study", "tracking --quick", "Compare controllers over motions and conditions"),
     "tune": About("study", "fair --quick", "Search the gains with the least cost for controllers"),
     "sweep": About("study", "initial_offset --runs 20", "Run a scenario many times with random values"),

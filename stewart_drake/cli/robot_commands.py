@@ -169,10 +169,14 @@ def write_sdf(scenario: Scenario) -> str:
 @command("write-mjcf", **_MODEL)
 @_model_options
 def write_mjcf(scenario: Scenario) -> str:
-    """Uses the scenario's time step, gravity and motor friction."""
+    """Uses the scenario's time step, gravity, motor friction and limits.joint_swing.
+
+    The rods' joints are a little damped, by plant.universal_damping or what stops a free rod in 0.1 s.
+    --set limits.joint_swing=null leaves out stops and damping: then it is the model that `plant.kind: mujoco` runs.
+    """
     from stewart_drake.plant.model_files import mjcf_text
 
-    return mjcf_text(scenario.robot, scenario.gravity, scenario.plant)
+    return mjcf_text(scenario.robot, scenario.gravity, scenario.plant, joint_swing=scenario.limits.joint_swing)
 
 
 @command(

@@ -1,4 +1,4 @@
-"""Units of co-simulation, FMI 3.0, with the printed source in them: a controller, and a robot with its motors."""
+"""Units of co-simulation, FMI 3.0 or 2.0, with the printed source in them: a controller, and a robot with motors."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import zipfile
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
+from typing import Literal
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -30,6 +31,8 @@ from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
 
 Numbers = Mapping[str, np.ndarray]
+Fmi = Literal[2, 3]
+"""Version of FMI; in 2.0 all variables are scalars: `reading[1]` to `reading[6]`."""
 
 
 def plant_part(scenario: Scenario) -> Part:
@@ -54,7 +57,7 @@ def robot_files(scenario: Scenario, name: str) -> dict[str, str]:
     return {f"{name}.{ending}": from_template(f"robot.{ending}", words) for ending in ("h", "c")}
 
 
-def controller_unit(options: ControlOptions, name: str) -> bytes:
+def controller_unit(options: ControlOptions, name: str, fmi: Fmi = 3) -> bytes:
     """The controller as an FMU: inputs `reading`, `reference`, `age`, output `command`; ConfigurationError as in C."""
     prefix, side = c_name(name), control_side(options, split=True)
     files = {
@@ -63,62 +66,83 @@ def controller_unit(options: ControlOptions, name: str) -> bytes:
     wanted = np.concatenate([source.evaluate(np.zeros(1))[0] for source in side.sources])
     inputs = {"reading": readings_along(options, side, 1)[0], "reference": wanted, "age": np.zeros(1)}
     arguments = "u->reading, u->reference, u->age[0], u->command"
-    return _unit("controller", prefix, files, inputs, {"command": np.zeros(6)}, options.reading_period, arguments)
+    return _unit(fmi, "controller", prefix, files, inputs, {"command": np.zeros(6)}, options.reading_period, arguments)
 
 
-def robot_unit(scenario: Scenario, name: str) -> bytes:
+def robot_unit(scenario: Scenario, name: str, fmi: Fmi = 3) -> bytes:
     """The robot with its motors as an FMU: inputs `command`, `wrench`, output `measured`."""
     prefix, plant = f"{c_name(name)}_robot", ClosedForm(scenario.robot, scenario.plant, scenario.gravity)  # type: ignore[arg-type]
     command = scenario.motors.initial_command(context_of(scenario, split=True))
     inputs, outputs = {"command": command, "wrench": np.zeros(6)}, {"measured": plant.initial(*scenario.start())}
-    arguments = "u->command, u->wrench, u->measured"
-    return _unit("robot", prefix, robot_files(scenario, prefix), inputs, outputs, scenario.plant.time_step, arguments)
+    arguments, files = "u->command, u->wrench, u->measured", robot_files(scenario, prefix)
+    return _unit(fmi, "robot", prefix, files, inputs, outputs, scenario.plant.time_step, arguments)
 
 
-def write_units(options: ControlOptions, name: str, folder: Path) -> list[Path]:
+def write_units(options: ControlOptions, name: str, folder: Path, fmi: Fmi = 3) -> list[Path]:
     """Writes the FMU of a controller and, of a scenario, that of its robot into a folder; their paths."""
-    units = {f"{c_name(name)}.fmu": controller_unit(options, name)}
+    units = {f"{c_name(name)}.fmu": controller_unit(options, name, fmi)}
     if isinstance(options, Scenario):
-        units[f"{c_name(name)}_robot.fmu"] = robot_unit(options, name)
+        units[f"{c_name(name)}_robot.fmu"] = robot_unit(options, name, fmi)
     return write_files(folder, units)
 
 
+_Variable = tuple[str, str, np.ndarray, bool]  # Name, place in the unit's struct, start, whether it is an input.
+
+
 def _unit(
-    kind: str, prefix: str, files: dict[str, str], inputs: Numbers, outputs: Numbers, period: float, arguments: str
+    fmi: Fmi,
+    kind: str,
+    prefix: str,
+    files: dict[str, str],
+    inputs: Numbers,
+    outputs: Numbers,
+    period: float,
+    arguments: str,
 ) -> bytes:
     """The archive of a unit, with a library for this machine where there is a C compiler.
 
     Inputs and outputs are by name, with their numbers at the start; `arguments` are those of its function `step`.
     """
-    variables = {**inputs, **outputs}
+    arrays = {**inputs, **outputs}
+    variables: list[_Variable] = [(name, name, start, name in inputs) for name, start in arrays.items()]
+    if fmi == 2:
+        variables = [
+            (f"{name}[{k + 1}]", f"{name}[{k}]", start[k : k + 1], is_input)
+            for name, _, start, is_input in variables
+            for k in range(start.size)
+        ]
     words = {
+        "FMI": str(fmi),
+        "NAME": prefix,
         "WHAT": f"a {kind}",
         "HEADER": f"{prefix}.h",
         "STRUCT": f"{prefix}_{kind}",
         "PERIOD": number(on_grid(period)).text,
     }
     words["STEP"] = f"return {prefix}_step(&u->inner, {arguments}) == 0 && ++u->steps > 0.0;"
-    words["FIELDS"] = "\n".join(f"    double {name}[{start.size}];" for name, start in variables.items())
+    words["FIELDS"] = "\n".join(f"    double {name}[{start.size}];" for name, start in arrays.items())
     words |= {"INIT": f"{prefix}_init(&u->inner);", "WHY": f"{prefix}_why"}
-    rows = ((name, start.size, "true" if name in inputs else "false") for name, start in variables.items())
-    words["TABLE"] = "\n".join(f"    {{offsetof(unit, {name}), {size}, {flag}}}," for name, size, flag in rows)
-    starts = ((name, k, number(x).text) for name, start in variables.items() for k, x in enumerate(start))
+    rows = ((place, start.size, str(is_input).lower()) for _, place, start, is_input in variables)
+    words["TABLE"] = "\n".join(f"    {{offsetof(unit, {place}), {size}, {flag}}}," for place, size, flag in rows)
+    starts = ((name, k, number(x).text) for name, start in arrays.items() for k, x in enumerate(start))
     words["START"] = "\n".join(f"    u->{name}[{k}] = {text};" for name, k, text in starts)
+    words["API"] = from_template(f"fmi{fmi}.c", words)
     sources = {**files, "fmu.c": from_template("fmu.c", words)}
-    words |= _described(prefix, sources, inputs, outputs)
-    content = {"modelDescription.xml": from_template("modelDescription.xml", words)}
+    words |= _described(fmi, sources, variables)
+    content = {"modelDescription.xml": from_template(f"modelDescription{fmi}.xml", words)}
     content |= {f"sources/{file}": text for file, text in sources.items()}
-    content["sources/buildDescription.xml"] = from_template("buildDescription.xml", words)
+    if fmi == 3:
+        content["sources/buildDescription.xml"] = from_template("buildDescription.xml", words)
     archive = BytesIO()
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as unit:
         for file, text in content.items():
             unit.writestr(zipfile.ZipInfo(file), text)
-        if (library := _library(prefix, sources)) is not None:
+        if (library := _library(fmi, prefix, sources)) is not None:
             unit.writestr(zipfile.ZipInfo(library[0]), library[1])
     return archive.getvalue()
 
 
-def _library(prefix: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
+def _library(fmi: Fmi, prefix: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
     """Path in the archive and content of the library; None without a compiler: the importer compiles the sources."""
     compiler, system = shutil.which("cc") or shutil.which("gcc"), platform.system().lower()
     if compiler is None or system not in ("linux", "darwin"):
@@ -134,20 +158,31 @@ def _library(prefix: str, sources: dict[str, str]) -> tuple[str, bytes] | None:
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
         if done.returncode != 0:
             raise ConfigurationError("C compiler", compiler, f"one that compiles C99; {done.stderr[:500]}")
-        return f"binaries/{machine}-{system}/{library.name}", library.read_bytes()
+        place_of = f"{system}64" if (fmi, machine) == (2, "x86_64") else f"{machine}-{system}"
+        return f"binaries/{place_of}/{library.name}", library.read_bytes()
 
 
-def _described(prefix: str, sources: dict[str, str], inputs: Numbers, outputs: Numbers) -> dict[str, str]:
-    """Words of the two descriptions of a unit."""
-    rows = ['<Float64 name="time" valueReference="0" causality="independent" variability="continuous"/>']
-    for k, (name, values) in enumerate({**inputs, **outputs}.items(), start=1):
-        start = f" start={quoteattr(' '.join(repr(float(x)) for x in values))}" if name in inputs else ""
-        kind = f'causality="{"input" if name in inputs else "output"}" variability="discrete"{start}'
-        size = f'<Dimension start="{values.size}"/>'
-        rows.append(f'<Float64 name="{name}" valueReference="{k}" {kind}>{size}</Float64>')
-    places = range(len(inputs) + 1, len(inputs) + len(outputs) + 1)
-    structure = "".join(f'<{tag} valueReference="{k}"/>' for tag in ("Output", "InitialUnknown") for k in places)
-    compiled = "".join(f'<SourceFile name="{file}"/>' for file in sources if file.endswith(".c"))
+def _described(fmi: Fmi, sources: dict[str, str], variables: list[_Variable]) -> dict[str, str]:
+    """Words of the descriptions of a unit."""
+    time = 'name="time" valueReference="0" causality="independent" variability="continuous"'
+    rows = [f"<Float64 {time}/>" if fmi == 3 else f"<ScalarVariable {time}><Real/></ScalarVariable>"]
+    for k, (name, _, values, is_input) in enumerate(variables, start=1):
+        start = f" start={quoteattr(' '.join(repr(float(x)) for x in values))}" if is_input else ""
+        way = "input" if is_input else "output"
+        kind = f'name="{name}" valueReference="{k}" causality="{way}" variability="discrete"'
+        if fmi == 3:
+            rows.append(f'<Float64 {kind}{start}><Dimension start="{values.size}"/></Float64>')
+        else:
+            rows.append(f"<ScalarVariable {kind}><Real{start}/></ScalarVariable>")
+    outputs = [k for k, (*_, is_input) in enumerate(variables, start=1) if not is_input]
+    if fmi == 3:
+        structure = "".join(f'<{tag} valueReference="{k}"/>' for tag in ("Output", "InitialUnknown") for k in outputs)
+    else:
+        # By its place in the list, which begins with the time.
+        unknown = "".join(f'<Unknown index="{k + 1}"/>' for k in outputs)
+        structure = "".join(f"<{tag}>{unknown}</{tag}>" for tag in ("Outputs", "InitialUnknowns"))
+    tag = "SourceFile" if fmi == 3 else "File"
+    compiled = "".join(f'<{tag} name="{file}"/>' for file in sources if file.endswith(".c"))
     token = hashlib.sha256("".join(sources.values()).encode()).hexdigest()[:32]
-    words = {"NAME": prefix, "TOKEN": token, "VERSION": __version__, "COMPILED": compiled}
+    words = {"TOKEN": token, "VERSION": __version__, "COMPILED": compiled}
     return words | {"VARIABLES": "\n".join(rows), "STRUCTURE": structure}

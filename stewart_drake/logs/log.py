@@ -1,4 +1,4 @@
-"""The log of one run: named signals with units and frames, in memory and as a Parquet, CSV or MCAP file."""
+"""The log of one run: named signals with units and frames, in memory and as a Parquet, CSV, MCAP or MATLAB file."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +16,7 @@ from stewart_drake.base import tables
 from stewart_drake.base.atomic_files import Document, write_atomically
 from stewart_drake.base.errors import ConfigurationError, installed_with
 from stewart_drake.base.keys import join_or
+from stewart_drake.base.yaml_files import to_yaml
 from stewart_drake.logs.journal import JOURNAL, cut_off
 from stewart_drake.logs.outcomes import MissingSignal, RunRows, Status, describe_outcome, is_measured
 from stewart_drake.logs.signals import SCALES, SIGNALS
@@ -195,13 +197,24 @@ class SimulationLog(Mapping[str, np.ndarray]):
 
         return to_mcap(self)
 
+    def to_mat(self) -> bytes:
+        """A MATLAB file: signals (n, k) by name, `units` and `columns` (structs of cells), scenario and outcome."""
+        from scipy.io import savemat
+
+        columns, units = dict[str, np.ndarray](), dict[str, np.ndarray]()
+        for name in self.signals:
+            columns[name], units[name] = np.array(_columns(name, self.state_names), object).T
+        texts = {"scenario": to_yaml(self.scenario.to_dict()), "status": self.status, "reason": self.reason or ""}
+        savemat(file := BytesIO(), {**self.signals, "columns": columns, "units": units, **texts}, oned_as="column")
+        return file.getvalue()
+
     def save(self, path: str | Path) -> None:
-        """Writes the log to a file, .parquet, .csv or, for Foxglove, .mcap.
+        """Writes the log to a file, .parquet, .csv, .mat for MATLAB and Octave, or .mcap for Foxglove and Rerun.
 
         Raises:
             ConfigurationError: Another ending; the folder is missing or not writable.
         """
-        formats = {".parquet": self.to_parquet, ".csv": self.to_csv, ".mcap": self.to_mcap}
+        formats = {".parquet": self.to_parquet, ".csv": self.to_csv, ".mcap": self.to_mcap, ".mat": self.to_mat}
         ending = Path(path).suffix
         if ending not in formats:
             raise ConfigurationError("log file", str(path), f"a name that ends in {join_or(list(formats))}")

@@ -1,14 +1,15 @@
-"""A log as an MCAP file for Foxglove and other viewers: signals, poses and a scene of cranks and rods, as JSON.
+"""A log as an MCAP file: signals and poses as messages of ROS 2, for Rerun, Foxglove and others; joints and a scene.
 
-Schemas with the names in docs.foxglove.dev/docs/visualization/message-schemas are drawn by Foxglove. Times start from
-zero.
+The scene of cranks and rods, and the joints, are JSON with the names in
+docs.foxglove.dev/docs/visualization/message-schemas, and drawn by Foxglove alone. Times start from zero.
 """
 
 from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Mapping
+import struct
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,8 +27,23 @@ _SCENE_RATE = 30.0  # [1/s] of the scene's updates, at most.
 _POSES = ("pose", "reference", "measured_pose")
 _COLOURS = {"cranks": (0.84, 0.37, 0.0), "rods": (0.5, 0.52, 0.58), "platform": (0.0, 0.45, 0.7)}
 _LINE_LIST, _LINE_LOOP = 2, 1  # Types of foxglove.LinePrimitive.
-_NUMBER, _OBJECT = {"type": "number"}, {"type": "object"}
-_TIME = {"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+_CDR = b"\x00\x01\x00\x00"  # Before a message: little-endian.
+_STAMPED = "\n".join(
+    (
+        "std_msgs/Header header\ngeometry_msgs/Pose pose",
+        "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id",
+        "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec",
+        "MSG: geometry_msgs/Pose\ngeometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+        "MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z",
+        "MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+    )
+).replace("\nMSG", f"\n{80 * '='}\nMSG")
+_TIME = '{"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}'
+_LIST = '{"type": "array", "items": {"type": "object"}}'
+_JOINTS = (
+    f'{{"title": "foxglove.JointStates", "type": "object", "properties": {{"timestamp": {_TIME}, "joints": {_LIST}}}}}'
+)
+_SCENE = f'{{"title": "foxglove.SceneUpdate", "type": "object", "properties": {{"entities": {_LIST}}}}}'
 
 
 def check_mcap() -> None:
@@ -50,45 +66,43 @@ def to_mcap(log: SimulationLog) -> bytes:
     writer.start(profile="", library="stewart_drake")
     writer.add_metadata("stewart_drake", {"scenario": log.scenario.name, "status": log.status})
     times = [round(1e9 * float(time)) for time in log.time]
-    for topic, name, properties, messages in _topics(log):
-        schema = {"title": name, "type": "object", "properties": properties}
-        number = writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
-        channel = writer.register_channel(topic, "json", number)
+    for topic, name, schema, messages in _topics(log):
+        language, coding = ("jsonschema", "json") if schema.startswith("{") else ("ros2msg", "cdr")
+        channel = writer.register_channel(topic, coding, writer.register_schema(name, language, schema.encode()))
         for row, message in messages:
-            writer.add_message(channel, times[row], json.dumps(message).encode(), times[row])
+            writer.add_message(channel, times[row], message, times[row])
     writer.finish()  # type: ignore[no-untyped-call]
     return file.getvalue()
 
 
 _Stamps = list[dict[str, int]]  # Seconds and nanoseconds by row.
-_Message = tuple[int, dict[str, object]]  # Row of the log, and JSON object.
-_Topic = tuple[str, str, Mapping[str, object], Iterator[_Message]]
+_Message = tuple[int, bytes]  # Row of the log, and message: JSON, or of ROS 2.
+_Topic = tuple[str, str, str, Iterator[_Message]]
 
 
 def _topics(log: SimulationLog) -> Iterator[_Topic]:
-    """Name, name of the schema, properties and messages of the topics."""
+    """Name, name of the schema, the schema, of JSON or of ROS 2, and messages of the topics."""
     stamps = [{"sec": int(time), "nsec": round(1e9 * (float(time) % 1.0)) % 10**9} for time in log.time]
     for name, values in log.signals.items():
         columns = log.state_names if name == "plant_state" else SIGNALS[name].components or ("value",)
         # Messages have time stamps.
         if columns and name != "time":
-            yield f"/{name}", f"stewart_drake.{name}", dict.fromkeys(columns, _NUMBER), _numbers(columns, values)
-    stamped = {"timestamp": _TIME, "frame_id": {"type": "string"}, "pose": _OBJECT}
+            # A name of ROS 2 begins with a letter.
+            fields = [f"float64 {f'leg_{column}' if column.isdigit() else column}" for column in columns]
+            yield f"/{name}", f"stewart_drake/msg/{name.title().replace('_', '')}", "\n".join(fields), _numbers(values)
     for name in _POSES:
         if name in log:
-            yield f"/{name}_in_base", "foxglove.PoseInFrame", stamped, _poses(stamps, log[name])
-    joints = {"timestamp": _TIME, "joints": {"type": "array", "items": _OBJECT}}
+            yield f"/{name}_in_base", "geometry_msgs/msg/PoseStamped", _STAMPED, _poses(stamps, log[name])
     angles = log.signals.get("crank_angle", log.signals.get("reading"))
     if angles is not None and is_measured(log.signals):
-        yield "/joint_states", "foxglove.JointStates", joints, _joints(stamps, log, angles)
+        yield "/joint_states", "foxglove.JointStates", _JOINTS, _joints(stamps, log, angles)
     if "pose" in log:
-        yield "/scene", "foxglove.SceneUpdate", {"entities": {"type": "array", "items": _OBJECT}}, _scene(stamps, log)
+        yield "/scene", "foxglove.SceneUpdate", _SCENE, _scene(stamps, log)
 
 
-def _numbers(columns: tuple[str, ...], values: np.ndarray) -> Iterator[_Message]:
-    for row, numbers in enumerate(values.reshape(len(values), len(columns)).tolist()):
-        # JSON has no NaN.
-        yield row, {name: value for name, value in zip(columns, numbers, strict=True) if np.isfinite(value)}
+def _numbers(values: np.ndarray) -> Iterator[_Message]:
+    for row, numbers in enumerate(values):
+        yield row, _CDR + numbers.astype("<f8").tobytes()
 
 
 def _point(xyz: np.ndarray) -> dict[str, float]:
@@ -96,11 +110,13 @@ def _point(xyz: np.ndarray) -> dict[str, float]:
 
 
 def _poses(stamps: _Stamps, poses: np.ndarray) -> Iterator[_Message]:
+    frame = _FRAME.encode() + b"\0"
     for row, (rotation, pose) in enumerate(zip(quaternion(poses[:, :3]), poses, strict=True)):
         if np.isfinite(pose).all():
-            orientation = dict(zip("wxyz", map(float, rotation), strict=True))
-            message = {"position": _point(pose[3:]), "orientation": orientation}
-            yield row, {"timestamp": stamps[row], "frame_id": _FRAME, "pose": message}
+            header = struct.pack("<iII", *stamps[row].values(), len(frame)) + frame
+            # Numbers are at multiples of eight bytes.
+            numbers = np.concatenate([pose[3:], np.roll(rotation, -1)]).astype("<f8")
+            yield row, _CDR + header + bytes(-len(header) % 8) + numbers.tobytes()
 
 
 def _joints(stamps: _Stamps, log: SimulationLog, angles: np.ndarray) -> Iterator[_Message]:
@@ -111,7 +127,7 @@ def _joints(stamps: _Stamps, log: SimulationLog, angles: np.ndarray) -> Iterator
         joints = [{"name": f"motor_{i}", "position": angle} for i, angle in enumerate(positions)]
         if torques is not None:
             joints = [{**joint, "effort": float(torques[row, i])} for i, joint in enumerate(joints)]
-        yield row, {"timestamp": stamps[row], "joints": joints}
+        yield row, json.dumps({"timestamp": stamps[row], "joints": joints}).encode()
 
 
 def _scene(stamps: _Stamps, log: SimulationLog) -> Iterator[_Message]:
@@ -135,7 +151,8 @@ def _scene(stamps: _Stamps, log: SimulationLog) -> Iterator[_Message]:
             {"type": kind, "pose": base, "points": [_point(p) for p in points], "color": _colour(name), **thickness}
             for name, kind, points in lines
         ]
-        yield row, {"deletions": [], "entities": [{**entity, "frame_locked": False, "metadata": [], "lines": drawn}]}
+        entities = [{**entity, "frame_locked": False, "metadata": [], "lines": drawn}]
+        yield row, json.dumps({"deletions": [], "entities": entities}).encode()
 
 
 def _colour(name: str) -> dict[str, float]:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 Pose = tuple[ArrayLike, ArrayLike]
 """Position (3,) [m] and roll, pitch, yaw (3,) [rad]."""
+_ROD_DAMPING = 10.0  # [1/s] of a rod about the hinges at its crank; in files for training.
 _HOUSING_RADIUS = 3.6  # Radius of a motor's housing over the link radius; decoration only.
 
 
@@ -169,7 +170,13 @@ def write_sdf(
     write_atomically(Path(path), sdf_text(robot, rod_joint=rod_joint, collision=collision).encode())
 
 
-def mjcf_text(robot: RobotParameters, gravity: float = STANDARD_GRAVITY, options: PlantOptions | None = None) -> str:
+def mjcf_text(
+    robot: RobotParameters,
+    gravity: float = STANDARD_GRAVITY,
+    options: PlantOptions | None = None,
+    *,
+    joint_swing: float | None = None,
+) -> str:
     """The robot in MJCF: bodies at the home pose, rods on two hinges, six `connect` that close the loops.
 
     MuJoCo's `connect` is a spring and damper on the gap r: here d^2 r/dt^2 = -r / h^2 - dr/dt / h, so that one Euler
@@ -180,6 +187,9 @@ def mjcf_text(robot: RobotParameters, gravity: float = STANDARD_GRAVITY, options
     Motors `motor_0..5` take torques [N m] within the effort limit; their joints are zero at home. Links are drawn, but
     do not collide. The options used are `time_step`, `universal_damping` and the motors' friction, without break-away
     torque, which MuJoCo lacks. Gravity is in m/s^2 along -z.
+
+    With `joint_swing` [rad] the rods have stops on either side of home about both hinges, and are damped there also
+    where `universal_damping` is 0: for torques of any kind, as in training. None leaves the model of the closed form.
     """
     options = DrakeOptions() if options is None else options
     frames, friction = home_frames(robot), options.friction_options
@@ -192,10 +202,11 @@ def mjcf_text(robot: RobotParameters, gravity: float = STANDARD_GRAVITY, options
         disc=on_platform(robot, (0.0, 0.0, 0.0)),
         gravity=gravity,
         step=options.time_step,
-        linear=not any(friction.coulomb) and not np.isfinite(frames.stops).any(),
+        linear=not any(friction.coulomb) and not np.isfinite(frames.stops).any() and joint_swing is None,
         coulomb=friction.coulomb,
         viscous=friction.viscous,
-        universal_damping=options.universal_damping,
+        joint_swing=joint_swing,
+        rod_damping=options.universal_damping or (_ROD_DAMPING * robot.rod_inertia[0] if joint_swing else 0.0),
     )
 
 

@@ -1,24 +1,30 @@
-"""Commands on moves of Reachy Mini: `moves check`, `moves fix`, `moves export`."""
+"""Commands on moves of Reachy Mini: `moves check`, `moves fix`, `moves export`, `moves play`."""
 
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
+import click
+import numpy as np
+
 from stewart_drake.base.atomic_files import Document, write_together
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.cli import options as opt
+from stewart_drake.cli.machine_commands import drive
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_error, print_line, print_table, shown_compiling
-from stewart_drake.reachy.moves import Move, files_of, move_json, moves_of
+from stewart_drake.reachy.moves import HEAD_HEIGHT, Move, files_of, move_json, moves_of
 from stewart_drake.reachy.possible_moves import check_move, fix_move, motion_of, shaped_move
 from stewart_drake.robot.robot_files import load_robot
-from stewart_drake.runs.outputs import prepare_folder
-from stewart_drake.scenario.scenario import load_driven
+from stewart_drake.runs.checks import plant_report
+from stewart_drake.runs.outputs import prepare_folder, write_text
+from stewart_drake.scenario.scenario import Scenario, load_driven
 
 ROBOT = "reachy_mini"
 DEGREE = math.degrees(1.0)
@@ -28,6 +34,10 @@ HEADER = ("no solution", *(unit for unit, _ in DEMANDS.values()), "also broken")
 SOURCE = {"metavar": "FILE|FOLDER|dance:NAME|dances"}
 OUT = opt.option("Folder for NAME.json of each.", opt.OUT_FOLDER, default="runs/moves")
 FORCE = opt.switch("Replace files that are there; never those that are read.")
+
+
+PLAYED = Path("runs/moves")  # Folder for the moves that are played.
+SLOWDOWNS = (1.05 ** np.arange(24)).tolist()  # Of a move, until the motors can follow it.
 
 
 @command("moves", kind=opt.Group)
@@ -138,6 +148,61 @@ def export(
             if less := int((shares < 1.0).sum()):
                 print_line(f"{name}: {less} of {len(shares)} poses do not exist as the servos need them")
     _write(folder, given)
+
+
+@command(
+    "moves play",
+    source={"metavar": "NAME|FILE"},
+    machine=opt.option("What plays it: sim:, reachy://HOST:PORT, or another of `drive`.", default="sim:"),
+    scenario=opt.option("Controller's file or scenario for these servos.", default="reachy_servos"),
+    dry=opt.switch("Connect, read and plan; move nothing."),
+    out=opt.option("Folder for the results [default: runs/NAME, or runs/NAME-2, ...].", opt.PATH),
+)
+def play(source: str, machine: str, scenario: str, dry: bool, out: Path | None, force: bool) -> None:
+    """A dance by its name, or a recorded move; a move that breaks a limit is fixed first.
+
+    The same as `drive SCENARIO --machine MACHINE --dance NAME`, which has more options.
+    """
+    given = {"machine": machine, "scenario": scenario, "dance": source, "dry": dry, "out": out, "force": force}
+    click.get_current_context().invoke(drive, **given)
+
+
+def scenario_to_play(scenario: Scenario, name: str, force: bool) -> Scenario:
+    """The scenario with a dance, or a move's file, as its motion: fixed, and slowed for its motors, where it must be.
+
+    A dance, or a fixed move, is written to the folder `PLAYED`, as a scenario names a file.
+    """
+    source, robot = name if Path(name).suffix == ".json" else f"dance:{name.removeprefix('dance:')}", scenario.robot
+    given = moves_of(source)
+    if abs(robot.home_height - HEAD_HEIGHT) > 0.1 * HEAD_HEIGHT:
+        allowed = f"a scenario of {ROBOT}, home at Z = {HEAD_HEIGHT:g} m, not {robot.home_height:.4g} m"
+        raise ConfigurationError("--dance", name, allowed)
+    ((label, move),) = given.items()
+    with shown_compiling(), _named(label):
+        report, _ = check_move(robot, move)
+        played, changes = (move, {}) if report.feasible else fix_move(robot, move)
+    text, path = move_json(played), Path(source)
+    if changes or path.suffix != ".json":
+        path = PLAYED / f"{label}.json"
+        same = path.is_file() and path.read_bytes() == text
+        write_text(_place(source, given, PLAYED, force or same) / path.name, text.decode())
+    reference = {"kind": "recorded", "motion_file": str(path.absolute())}
+    begun = {"name": re.sub(r"[^\w.-]", "_", label)[:100], "initial_offset": [0.0] * 6}
+    for slowdown in SLOWDOWNS:
+        length = motion_of(played._replace(time=slowdown * played.time)).end
+        made = scenario.replace({**begun, "duration": length, "reference": {**reference, "time_scale": slowdown}})
+        if not plant_report(made).first_violation:
+            break
+    else:
+        raise ConfigurationError("--dance", name, "a move that the motors can follow at a third of its speed")
+    how = "as it is"
+    if changes:
+        how = f"fixed, by up to {_number(changes['change mm'])} mm and {_number(changes['change deg'])} deg"
+    how += f", {slowdown:.3g} times as long, for its motors" * (slowdown > 1.0)
+    print_line(f"{label}: {how}; {length:.3g} s")
+    if np.ptp(played.antennas, axis=0).any() or np.ptp(played.body_yaw):
+        print_line("only the head moves: antennas and the body keep their angles")
+    return made
 
 
 def _tell_notes(given: dict[str, Move]) -> None:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stewart_drake.base.atomic_files import read_checked
+from stewart_drake.base.config import choices_text
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.sampling import unwrapped
 
@@ -139,7 +140,7 @@ def dance(name: str) -> Move:
     """A dance once, as `play_on` plays it."""
     known = dances()
     if name not in known:
-        raise ConfigurationError("dance", name, f"one of {', '.join(known)}")
+        raise ConfigurationError("dance", name, choices_text(name, list(known)))
     function, keywords, facts = known[name]
     time = np.arange(0.0, facts["default_duration_beats"] * 60.0 / TEMPO, STEP)
     made = [function(now * TEMPO / 60.0, **keywords) for now in time.tolist()]

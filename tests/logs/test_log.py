@@ -1,16 +1,19 @@
 import dataclasses
 import json
 import random
+import re
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from made_logs import made_log
+from scipy.io import loadmat
 
 from stewart_drake import ConfigurationError, Scenario, load_log, run
 from stewart_drake.base.atomic_files import seal
 from stewart_drake.base.tables import AXES
+from stewart_drake.base.yaml_files import parse_yaml
 from stewart_drake.logs.signals import SIGNALS
 
 
@@ -48,6 +51,22 @@ def test_a_saved_log_loads_back_bit_for_bit_from_its_file_and_from_its_folder(lo
         for field in dataclasses.fields(log):
             if field.name != "signals":
                 assert getattr(again, field.name) == getattr(log, field.name), field.name
+
+
+@pytest.mark.parametrize("rows", [7, 1])
+def test_a_log_for_matlab_has_every_signal_with_its_units_under_names_that_matlab_takes(log, tmp_path, rows):
+    log = dataclasses.replace(log, signals={name: values[:rows] for name, values in log.items()})
+    log.save(tmp_path / "log.mat")
+    read = loadmat(tmp_path / "log.mat")
+    about = loadmat(tmp_path / "log.mat", simplify_cells=True)
+    for name, values in log.items():
+        np.testing.assert_array_equal(read[name], values.reshape(rows, -1))
+        assert np.size(about["units"][name]) == np.size(about["columns"][name]) == read[name].shape[1]
+        assert re.fullmatch("[a-z][a-z0-9_]{0,30}", name)
+    assert about["units"]["pose"].tolist() == ["rad", "rad", "rad", "m", "m", "m"]
+    assert about["columns"]["pose"].tolist() == [f"pose_{axis}" for axis in AXES]
+    assert (about["units"]["time"], about["status"]) == ("s", "failed")
+    assert Scenario.from_dict(parse_yaml(about["scenario"], "scenario")) == log.scenario
 
 
 def test_a_log_saved_as_csv_loads_back_with_the_scenario_that_it_does_not_have(log, tmp_path):
@@ -116,7 +135,7 @@ def test_what_is_no_log_is_named_in_one_line(log, tmp_path):
     ):
         pq.write_table(columns.replace_schema_metadata({"stewart_drake.run": json.dumps(about)}), path)
         refused(words)
-    with pytest.raises(ConfigurationError, match=r"a name that ends in \.parquet, \.csv or \.mcap"):
+    with pytest.raises(ConfigurationError, match=r"a name that ends in \.parquet, \.csv, \.mcap or \.mat"):
         log.save(tmp_path / "log.xlsx")
 
 

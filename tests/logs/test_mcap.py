@@ -1,6 +1,7 @@
 """`log.save("run.mcap")`, read with the reader of the package mcap."""
 
 import json
+import re
 from collections import defaultdict
 from dataclasses import replace
 
@@ -29,8 +30,25 @@ def read(log, tmp_path):
     made = defaultdict(list)
     with (tmp_path / "run.mcap").open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():
-            made[channel.topic].append((schema.name, message.log_time, json.loads(message.data)))
+            is_json = channel.message_encoding == "json"
+            assert not is_json or json.loads(schema.data)["title"] == schema.name
+            content = json.loads(message.data) if is_json else ros(schema, message.data)
+            made[channel.topic].append((schema.name, message.log_time, content))
     return made
+
+
+def ros(schema, data):
+    """A message of ROS 2 as its schema has it: numbers by name; of a pose, its frame, time and seven numbers."""
+    assert data[:4] == b"\0\1\0\0"
+    if schema.name == "geometry_msgs/msg/PoseStamped":
+        seconds, nanoseconds, size = np.frombuffer(data[4:16], "<u4").tolist()
+        assert len(data) == 4 + 24 + 56
+        numbers = np.frombuffer(data[28:], "<f8")
+        return data[16 : 15 + size].decode(), seconds + 1e-9 * nanoseconds, numbers
+    names = [line.removeprefix("float64 ") for line in schema.data.decode().splitlines()]
+    assert re.fullmatch("stewart_drake/msg/[A-Z][A-Za-z0-9]*", schema.name)
+    assert all(re.fullmatch("(?!.*__)(?!.*_$)[a-z][a-z0-9_]*", name) for name in names)
+    return dict(zip(names, np.frombuffer(data[4:], "<f8").tolist(), strict=True))
 
 
 def test_every_signal_has_a_topic_with_all_its_rows(log, topics):
@@ -43,13 +61,12 @@ def test_every_signal_has_a_topic_with_all_its_rows(log, topics):
     np.testing.assert_allclose(1e-9 * np.array(times), log.time, atol=1e-9)
 
 
-def test_poses_and_joints_are_messages_that_foxglove_knows(log, topics):
+def test_poses_and_joints_are_messages_that_viewers_know(log, topics):
     row = len(log.time) // 2
-    name, _, message = topics["/pose_in_base"][row]
-    position, turn = message["pose"]["position"], message["pose"]["orientation"]
-    assert name == "foxglove.PoseInFrame"
-    np.testing.assert_allclose([position[axis] for axis in "xyz"], log["pose"][row, 3:])
-    w, v = turn["w"], np.array([turn[axis] for axis in "xyz"])
+    _, _, (frame, time, numbers) = topics["/pose_in_base"][row]
+    assert (frame, time) == ("base", pytest.approx(log.time[row], abs=1e-9))
+    np.testing.assert_array_equal(numbers[:3], log["pose"][row, 3:])
+    w, v = numbers[6], numbers[3:6]
     across = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
     turned = np.eye(3) + 2.0 * w * across + 2.0 * across @ across
     np.testing.assert_allclose(turned, rotation_matrix(log["pose"][row, :3]), atol=1e-12)

@@ -3,6 +3,7 @@
 import os
 import random
 import select
+import shlex
 import socket
 import subprocess
 import sys
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from made_machines import ROOT, SERVOS, TORQUES, Robot, UdpRobot, go_on
 
+from stewart_drake import load_log, run_metrics
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.machines.machine import MachineError, command_limits, open_machine
 from stewart_drake.machines.packet import ACTIVE, READING, Packet, decode, encode, from_frame, split_frames, to_frame
@@ -293,6 +295,26 @@ def test_the_example_in_plain_python_is_a_robot():
         with pytest.raises(MachineError, match="nobody listens there"):
             go_on(machine)
         machine.disconnect()
+    finally:
+        robot.kill()
+        robot.wait()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("controller", ["hobby_servos", "reachy_servos", "reachy_daemon"])
+def test_the_shipped_controllers_of_servos_drive_the_example(controller, call):
+    """At its period, by the command of docs/wire.md."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    page = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8").replace("\\\n", " ")
+    ((_, _, *command),) = [shlex.split(line) for line in page.splitlines() if line.startswith("stewart-drake drive")]
+    robot = subprocess.Popen([sys.executable, ROOT / "docs" / "robot_side.py", str(port)])
+    try:
+        given = [word.replace("9000", str(port)) for word in command[1:]]
+        status, _, err = call("drive", controller, *given, "--out", "there")
+        assert status == 0, err
+        assert run_metrics(load_log("there"))["worst_half_rmse_norm_deg"] < 1.0
     finally:
         robot.kill()
         robot.wait()

@@ -26,6 +26,7 @@ from stewart_drake.plant.closed_form import ClosedFormOptions
 from stewart_drake.plant.model_files import mjcf_text
 from stewart_drake.plant.mujoco_plant import MujocoOptions
 from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES, POSE, RATE
+from stewart_drake.robot.leg import JOINT_SWING
 from stewart_drake.robot.robot_files import robot_model
 from stewart_drake.runs.checks import compared_with_model
 
@@ -119,6 +120,25 @@ def test_it_begins_at_any_pose_on_the_robots_branch(name, model):
         np.testing.assert_allclose(np.sin(0.5 * off), 0.0, atol=close)
         wanted = crank_rates(robot, leg_geometry(robot, pose), pose, rate)
         np.testing.assert_allclose(measured[CRANK_RATES], wanted, atol=100 * close)
+
+
+@pytest.mark.parametrize("name", ["paper", "servo_hexapod"])
+def test_a_model_with_stops_of_the_rods_takes_any_torque(name):
+    """As an untrained policy gives them, up to the effort limits; without the stops about half of the runs diverge."""
+    robot = load_robot(name)
+    text = mjcf_text(robot, GRAVITY, joint_swing=JOINT_SWING).replace('"Euler"', '"implicitfast"')
+    model, draw = mujoco.MjModel.from_xml_string(text), np.random.default_rng(0)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    joint = model.joint("universal_3_x")
+    assert (joint.range.tolist(), joint.damping[0]) == ([-JOINT_SWING, JOINT_SWING], 10.0 * robot.rod_inertia[0])
+    for _ in range(5):
+        data, phase, size = mujoco.MjData(model), draw.uniform(0.0, 6.0, 6), draw.uniform(0.2, 1.0, 6)
+        while data.time < 1.5:
+            data.ctrl[:] = robot.effort_limits * size * np.sin(6.0 * data.time + phase)
+            mujoco.mj_step(model, data)
+        assert np.isfinite(data.qacc).all()
+        gap = data.site_xpos[model.site("end_0").id] - data.site_xpos[model.site("seat_0").id]
+        assert np.linalg.norm(gap) < 0.02 * robot.rod_lengths[0]
 
 
 def test_a_push_is_about_the_origin_of_p():

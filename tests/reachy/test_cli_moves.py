@@ -1,12 +1,22 @@
-"""The commands `moves check`, `moves fix` and `moves export`."""
+"""The commands `moves check`, `moves fix`, `moves export` and `moves play`, and `drive --dance`."""
 
+import importlib.util
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from stewart_drake.reachy.moves import HEAD_HEIGHT, Move, move_json, read_move
+from stewart_drake import run, run_metrics
+from stewart_drake.reachy.commands import scenario_to_play
+from stewart_drake.reachy.moves import HEAD_HEIGHT, Move, dances, move_json, read_move
+from stewart_drake.scenario.scenario import load_driven
+
+makers = pytest.mark.skipif(
+    importlib.util.find_spec("reachy_mini_dances_library") is None,
+    reason="pip install --no-deps reachy_mini_dances_library",
+)
 
 
 @pytest.fixture
@@ -99,3 +109,58 @@ def test_a_move_that_was_not_fixed_is_named_with_the_time_and_what_to_do(call, f
     assert "move wild" in err
     assert re.search(r"at 0\.(4[5-9]|5)", err)  # as soon as the low pass begins to follow the jump
     assert err.endswith("try: stewart-drake moves fix\n")
+
+
+@pytest.mark.slow
+def test_a_move_that_breaks_a_limit_is_played_fixed_and_no_faster_than_the_motors_can(call, folder):
+    status, out, err = call("moves", "play", folder / "jump.json", "--dry")
+    assert (status, err) == (0, "")
+    assert re.search(r"jump: fixed, by up to 0 mm and 6\.\d+ deg, 1\.\d+ times as long, for its motors; 1\.\d+ s", out)
+    assert out.endswith("nothing was moved\n")
+    scenario = load_driven("reachy_servos").replace({"plant": {"kind": "closed_form"}})
+    played = scenario_to_play(scenario, str(folder / "jump.json"), force=False)
+    assert Path(played.reference.motion_file) == folder.parent / "runs" / "moves" / "jump.json"
+    assert run(played).status == "completed"
+    both = played, played.replace({"reference.time_scale": 1.0})
+    errors = [run_metrics(run(each, check=False))["error_max_deg"] for each in both]
+    assert errors[0] < 0.5 * errors[1]
+    nod = scenario_to_play(scenario, str(folder / "nod.json"), force=False)
+    assert (nod.reference.motion_file, nod.reference.time_scale) == (str(folder / "nod.json"), 1.0)
+
+
+@pytest.mark.long
+@makers
+def test_all_dances_are_played_to_the_end(tmp_path, monkeypatch, capsys):
+    """As docs/reachy_mini.md counts them."""
+    monkeypatch.chdir(tmp_path)
+    scenario = load_driven("reachy_servos").replace({"plant": {"kind": "closed_form"}})
+    logs = {name: run(scenario_to_play(scenario, name, force=False), check=False) for name in dances()}
+    assert {log.status for log in logs.values()} == {"completed"}
+    told = capsys.readouterr().out
+    assert (len(logs), told.count(": fixed, "), told.count("as long, for its motors")) == (20, 7, 6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ("reachy_servos --dance nowhere.json", "move nowhere.json: "),
+        ("reachy_nod --dance nod.json", "model.motors: expected motors that take angle"),
+        ("hobby_servos --dance nod.json", "a scenario of reachy_mini, home at Z = 0.177 m, not 0.151 m"),
+        pytest.param("reachy_servos --dance simple_nodd", "did you mean simple_nod?", marks=makers),
+        ("reachy_servos --dance nod.json", "no daemon of Reachy Mini answers there"),
+        ("reachy_servos --dance runs/moves/jump.json", "which is read"),
+        ("reachy_servos --dance jump.json", "runs/moves"),
+    ],
+)
+def test_a_dance_that_cannot_be_driven_is_a_line(call, folder, arguments, said, monkeypatch):
+    theirs = folder.parent / "runs" / "moves" / "jump.json"
+    theirs.parent.mkdir(parents=True)
+    theirs.write_bytes((folder / "jump.json").read_bytes())
+    monkeypatch.chdir(folder if "runs/" not in arguments else folder.parent)
+    if arguments.endswith(" jump.json"):
+        (folder / "runs" / "moves").mkdir(parents=True)
+        (folder / "runs" / "moves" / "jump.json").write_text("mine")
+    status, _, err = call("drive", *arguments.split(), "--machine", "reachy://127.0.0.1:1", "--out", "there")
+    assert status in (2, 3)
+    assert said in err
+    assert len(err.splitlines()) == 1

@@ -1,10 +1,11 @@
-/* An FMI 3.0 co-simulation unit around @WHAT@: inputs hold from one communication point to the next. */
+/* A co-simulation unit, FMI @FMI@.0, around @WHAT@: inputs hold from one communication point to the next. */
 #include "@HEADER@"
 
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
+#include <string.h>
 
 #ifdef _WIN32
 #define EXPORTED __declspec(dllexport)
@@ -13,7 +14,8 @@
 #endif
 
 enum { OK, WARNING, DISCARD, ERROR };
-#define MOST_STEPS 1e7 /* of one call: more would seem never to return */
+typedef void logger(void); /* of the importer; its type is that of FMI @FMI@.0 */
+#define MOST_STEPS 1e7     /* of one call: more would seem never to return */
 static const double period = @PERIOD@; /* [s] of a step */
 
 typedef struct {
@@ -22,7 +24,8 @@ typedef struct {
     double steps; /* done */
     double now;   /* [s] the communication point that was reached last */
     void *environment;
-    void (*log)(void *environment, int status, const char *category, const char *message);
+    logger *log;
+    char name[64];
 } unit;
 
 /* Variables by their references, from 1; 0 is the time. */
@@ -38,7 +41,9 @@ enum { VARIABLES = sizeof variables / sizeof variables[0] };
 
 static void begin(unit *u)
 {
-    *u = (unit){.environment = u->environment, .log = u->log};
+    unit empty = {.environment = u->environment, .log = u->log};
+    memcpy(empty.name, u->name, sizeof empty.name);
+    *u = empty;
     @INIT@
 @START@
 }
@@ -48,17 +53,12 @@ static bool step(unit *u)
     @STEP@
 }
 
-EXPORTED const char *fmi3GetVersion(void) { return "3.0"; }
-
-EXPORTED void *fmi3InstantiateCoSimulation(
-    const char *name, const char *token, const char *resources, bool visible, bool logging, bool events, bool early,
-    const uint32_t *required, size_t count, void *environment,
-    void (*log)(void *environment, int status, const char *category, const char *message), void *update)
+/* A unit that has begun; NULL without memory. */
+static unit *made(const char *name, void *environment, logger *log)
 {
-    (void)name, (void)token, (void)resources, (void)visible, (void)logging, (void)early, (void)required, (void)count;
-    (void)update;
-    unit *u = events ? NULL : calloc(1, sizeof *u);
+    unit *u = calloc(1, sizeof *u);
     if (u != NULL) {
+        strncpy(u->name, name == NULL ? "@NAME@" : name, sizeof u->name - 1);
         u->environment = environment;
         u->log = log;
         begin(u);
@@ -66,41 +66,8 @@ EXPORTED void *fmi3InstantiateCoSimulation(
     return u;
 }
 
-EXPORTED void fmi3FreeInstance(void *u) { free(u); }
-
-EXPORTED int fmi3SetDebugLogging(void *u, bool on, size_t count, const char *const *categories)
+static int get(const unit *u, const uint32_t *references, size_t count, double *values, size_t size)
 {
-    (void)u, (void)on, (void)count, (void)categories;
-    return OK;
-}
-
-EXPORTED int fmi3EnterInitializationMode(void *u, bool has, double tolerance, double start, bool ends, double stop)
-{
-    (void)u, (void)has, (void)tolerance, (void)ends, (void)stop;
-    return start == 0.0 ? OK : ERROR;
-}
-
-EXPORTED int fmi3ExitInitializationMode(void *u)
-{
-    (void)u;
-    return OK;
-}
-
-EXPORTED int fmi3Terminate(void *u)
-{
-    (void)u;
-    return OK;
-}
-
-EXPORTED int fmi3Reset(void *u)
-{
-    begin(u);
-    return OK;
-}
-
-EXPORTED int fmi3GetFloat64(void *of, const uint32_t *references, size_t count, double *values, size_t size)
-{
-    unit *u = of;
     size_t done = 0;
     for (size_t k = 0; k < count; k++) {
         if (references[k] > VARIABLES) {
@@ -111,14 +78,14 @@ EXPORTED int fmi3GetFloat64(void *of, const uint32_t *references, size_t count, 
             return ERROR;
         }
         for (size_t m = 0; m < n; m++, done++) {
-            const double *from = references[k] == 0 ? NULL : (double *)((char *)u + variables[references[k] - 1].at);
-            values[done] = from == NULL ? u->steps * period : from[m];
+            const char *from = references[k] == 0 ? NULL : (const char *)u + variables[references[k] - 1].at;
+            values[done] = from == NULL ? u->steps * period : ((const double *)from)[m];
         }
     }
     return OK;
 }
 
-EXPORTED int fmi3SetFloat64(void *u, const uint32_t *references, size_t count, const double *values, size_t size)
+static int set(unit *u, const uint32_t *references, size_t count, const double *values, size_t size)
 {
     size_t done = 0;
     for (size_t k = 0; k < count; k++) {
@@ -136,14 +103,11 @@ EXPORTED int fmi3SetFloat64(void *u, const uint32_t *references, size_t count, c
     return OK;
 }
 
-EXPORTED int fmi3DoStep(
-    void *of, double now, double size, bool final, bool *event, bool *terminate, bool *early, double *last)
+/* Steps to the next communication point; `why` is the reason if a step fails, else NULL. */
+static int advance(unit *u, double now, double size, const char **why)
 {
-    unit *u = of;
     const double end = now + size, about = 1e-3 * period;
-    (void)final;
-    *event = *terminate = *early = false;
-    *last = u->now;
+    *why = NULL;
     /* A step goes on from the last one, and forwards: comparisons with what is no number are false. */
     if (!(now > u->now - about && now < u->now + about && size > 0.0 && size <= MOST_STEPS * period)) {
         return ERROR;
@@ -152,32 +116,12 @@ EXPORTED int fmi3DoStep(
     while (u->steps * period < end - 0.5 * period) {
         if (!step(u)) {
             int leg = -1;
-            *terminate = true;
-            if (u->log != NULL) {
-                u->log(u->environment, ERROR, "logStatusError", @WHY@(&u->inner, &leg));
-            }
-            *last = u->steps * period;
+            *why = @WHY@(&u->inner, &leg);
             return ERROR;
         }
     }
-    *last = u->now = end;
+    u->now = end;
     return OK;
 }
 
-/* What a unit need not have. */
-#define NONE(name) \
-    EXPORTED int fmi3##name(void) { return ERROR; }
-#define BOTH(type) NONE(Get##type) NONE(Set##type)
-BOTH(Float32) BOTH(Int8) BOTH(UInt8) BOTH(Int16) BOTH(UInt16) BOTH(Int32) BOTH(UInt32) BOTH(Int64) BOTH(UInt64)
-BOTH(Boolean) BOTH(String) BOTH(Binary) BOTH(Clock) BOTH(FMUState) BOTH(IntervalDecimal) BOTH(IntervalFraction)
-BOTH(ShiftDecimal) BOTH(ShiftFraction) BOTH(ContinuousStates)
-NONE(EnterEventMode) NONE(EnterStepMode) NONE(EnterConfigurationMode) NONE(ExitConfigurationMode) NONE(SetTime)
-NONE(EnterContinuousTimeMode) NONE(CompletedIntegratorStep) NONE(UpdateDiscreteStates) NONE(EvaluateDiscreteStates)
-NONE(FreeFMUState) NONE(SerializedFMUStateSize) NONE(SerializeFMUState) NONE(DeserializeFMUState)
-NONE(GetDirectionalDerivative) NONE(GetAdjointDerivative) NONE(GetNumberOfVariableDependencies)
-NONE(GetVariableDependencies) NONE(GetContinuousStateDerivatives) NONE(GetEventIndicators)
-NONE(GetNominalsOfContinuousStates) NONE(GetNumberOfEventIndicators) NONE(GetNumberOfContinuousStates)
-NONE(GetOutputDerivatives) NONE(ActivateModelPartition)
-
-EXPORTED void *fmi3InstantiateModelExchange(void) { return NULL; }
-EXPORTED void *fmi3InstantiateScheduledExecution(void) { return NULL; }
+@API@
