@@ -121,7 +121,7 @@ def write_mjcf(scenario: Scenario) -> str:
     """Uses the scenario's time step, gravity and motor friction."""
     from stewart_drake.plant.model_files import mjcf_text
 
-    return mjcf_text(scenario.robot, scenario.gravity, scenario.plant)
+    return mjcf_text(scenario.robot, scenario.gravity_in_base, scenario.plant)
 
 
 @command(
@@ -303,8 +303,10 @@ def excite(
     room = ROOM if motors is None else SERVO_ROOM
     with prepared_file(out):
         with progress_bar("designing", float(MOTIONS), unit="motions") as advance:
-            result = design(guess, scenario.limits, hold, gravity=scenario.gravity, room=room, progress=advance)
-        check_reference(guess, scenario.limits, result.reference, duration, scenario.gravity).raise_if_infeasible()
+            result = design(guess, scenario.limits, hold, gravity=scenario.gravity_in_base, room=room, progress=advance)
+        check_reference(
+            guess, scenario.limits, result.reference, duration, scenario.gravity_in_base
+        ).raise_if_infeasible()
         designed = scenario.replace({"name": "excitation", "reference": result.reference.to_dict()})
         write_text(out, to_yaml(designed.to_dict()))
     rows = [

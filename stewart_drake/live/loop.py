@@ -194,4 +194,4 @@ class LiveLoop:
 
 def _plant_keys(scenario: Scenario) -> tuple[object, ...]:
     """Keys on which the plant depends."""
-    return scenario.robot, scenario.plant, scenario.gravity
+    return scenario.robot, scenario.plant, scenario.gravity_in_base

@@ -86,7 +86,7 @@ class MachineSession(PageSession):
             raise ConfigurationError("motion", "on", f"off after the scenario's duration, {scenario.duration:g} s")
         if on:
             # The motion may be infeasible about the present pose.
-            setup = scenario.robot, scenario.limits, self.home, reference.goal, scenario.gravity
+            setup = scenario.robot, scenario.limits, self.home, reference.goal, scenario.gravity_in_base
             if limit := nearest_allowed(*setup, reference.excursions(scenario.duration, on=True)).limit:
                 raise ConfigurationError("motion", "on", f"off here: {limit}")
         reference.share.target = np.array([float(on)])

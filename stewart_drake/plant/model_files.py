@@ -21,6 +21,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import cross, leg_geometry, roll_pitch_yaw, rotation_matrix
 from stewart_drake.plant.plant_options import DrakeOptions, PlantOptions, RodJoint
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.gravity import Gravity, gravity_vector
 from stewart_drake.robot.leg import JOINT_SWING, LARGEST_SIZE, LEG_COUNT
 
 if TYPE_CHECKING:
@@ -169,7 +170,7 @@ def write_sdf(
     write_atomically(Path(path), sdf_text(robot, rod_joint=rod_joint, collision=collision).encode())
 
 
-def mjcf_text(robot: RobotParameters, gravity: float = STANDARD_GRAVITY, options: PlantOptions | None = None) -> str:
+def mjcf_text(robot: RobotParameters, gravity: Gravity = STANDARD_GRAVITY, options: PlantOptions | None = None) -> str:
     """The robot in MJCF: bodies at the home pose, rods on two hinges, six `connect` that close the loops.
 
     MuJoCo's `connect` is a spring and damper on the gap r: here d^2 r/dt^2 = -r / h^2 - dr/dt / h, so that one Euler
@@ -179,7 +180,8 @@ def mjcf_text(robot: RobotParameters, gravity: float = STANDARD_GRAVITY, options
 
     Motors `motor_0..5` take torques [N m] within the effort limit; their joints are zero at home. Links are drawn, but
     do not collide. The options used are `time_step`, `universal_damping` and the motors' friction, without break-away
-    torque, which MuJoCo lacks. Gravity is in m/s^2 along -z.
+    torque, which MuJoCo lacks. Gravity is in m/s^2, a number
+    along -z or a vector in B.
     """
     options = DrakeOptions() if options is None else options
     frames, friction = home_frames(robot), options.friction_options
@@ -190,7 +192,7 @@ def mjcf_text(robot: RobotParameters, gravity: float = STANDARD_GRAVITY, options
         home_rotation=robot.tool_rotation,
         platform_inertia=_moments_and_products(robot),
         disc=on_platform(robot, (0.0, 0.0, 0.0)),
-        gravity=gravity,
+        gravity=gravity_vector(gravity),
         step=options.time_step,
         linear=not any(friction.coulomb) and not np.isfinite(frames.stops).any(),
         coulomb=friction.coulomb,

@@ -25,6 +25,7 @@ from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian
 from stewart_drake.references import AdjustedReference, Reference
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.gravity import Gravity, gravity_vector
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
 from stewart_drake.scenario.limits import LimitMargin, ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
@@ -52,7 +53,7 @@ def refuse_unrunnable(scenario: Scenario) -> None:
 
 def check_scenario(scenario: Scenario) -> None:
     """Raises a ConfigurationError if the motion leaves the limits, or the robot cannot hold the start pose."""
-    setup = (scenario.robot, scenario.controller_model, scenario.limits, scenario.safety, scenario.gravity)
+    setup = (scenario.robot, scenario.controller_model, scenario.limits, scenario.safety, scenario.gravity_in_base)
     motion = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
     key = (*setup, *motion, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
     # A user's code may give other results the next time.
@@ -102,7 +103,9 @@ def _remedies(scenario: Scenario, report: feasibility.FeasibilityReport, limit: 
     def feasible(scale: float, speed: float) -> bool:
         slower = times / speed
         signals = adjusted(motion, scale, 1.0 / speed).evaluate(slower)
-        return feasibility.check_motion(scenario.robot, scenario.limits, slower, *signals, scenario.gravity).feasible
+        return feasibility.check_motion(
+            scenario.robot, scenario.limits, slower, *signals, scenario.gravity_in_base
+        ).feasible
 
     with user_code(scenario), np.errstate(all="ignore"):
         scale = feasibility.largest_share(lambda share: feasible(share, 1.0))
@@ -143,7 +146,7 @@ def _check_rates(scenario: Scenario) -> None:
 
 
 def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:
-    motion = (scenario.robot, scenario.limits, scenario.reference, scenario.duration, scenario.gravity)
+    motion = (scenario.robot, scenario.limits, scenario.reference, scenario.duration, scenario.gravity_in_base)
     try:
         # Overflows are reported as a violated limit or as a signal that is not finite.
         with user_code(scenario), np.errstate(all="ignore"):
@@ -176,7 +179,7 @@ def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
         return feasibility.FeasibilityReport({}, None)
     with user_code(scenario), np.errstate(all="ignore"), suppress(RunFailure, np.linalg.LinAlgError):
         pose, rate, acceleration = scenario.reference.evaluate(time)
-        torque = inverse_dynamics(plant.loaded(robot), pose, rate, acceleration, scenario.gravity)
+        torque = inverse_dynamics(plant.loaded(robot), pose, rate, acceleration, scenario.gravity_in_base)
         to_cranks, wrench = twist_jacobian(robot, pose), total_wrench(pushes, time)
         torque -= np.linalg.solve(np.swapaxes(to_cranks, -1, -2), wrench[..., None])[..., 0]
         speed = (to_cranks @ pose_rate_to_twist(pose, rate)[..., None])[..., 0]
@@ -225,7 +228,7 @@ def compared_with_model(scenario: Scenario) -> list[tuple[str, str, str]]:
             for key, words, unit in _FRICTION
         ),
         ("payload", text(plant.payload_mass, "kg"), text(0.0, "kg")),
-        ("gravity", text(scenario.gravity, "m/s^2"), text(model.gravity, "m/s^2")),
+        ("gravity", text(scenario.gravity_in_base, "m/s^2"), text(model.gravity, "m/s^2")),
         ("noise of a crank's angle", text(correct.noise, "rad"), text(model.noise, "rad")),
         ("delay of a command [ticks]", str(correct.delay), str(model.delay)),
         ("age of a reading", text(correct.reading_age, "s"), text(model.reading_age, "s")),
@@ -243,7 +246,11 @@ def likely_cause(scenario: Scenario, ended: float) -> str:
     if worst := plant_report(scenario).first_violation:
         return f"{worst.where} needs {worst.value:.4g} N m, its motor has {worst.bound:.4g} N m"
     period, slow = scenario.controller.period, _SLOW_LOOP_FALL * scenario.robot.characteristic_length
-    fall = 0.5 * scenario.gravity * (period * (1 + scenario.loop_delay)) ** 2
+    fall = (
+        0.5
+        * float(np.linalg.norm(gravity_vector(scenario.gravity_in_base)))
+        * (period * (1 + scenario.loop_delay)) ** 2
+    )
     if (
         ended > _SLOW_LOOP_TICKS * period
         or fall < slow
@@ -272,7 +279,7 @@ def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
 
 
 def fit_amplitude(
-    robot: RobotParameters, limits: ReferenceLimits, reference: Reference, duration: float, gravity: float
+    robot: RobotParameters, limits: ReferenceLimits, reference: Reference, duration: float, gravity: Gravity
 ) -> tuple[Reference, float]:
     """The motion scaled about its centre to be feasible, and the scale [-], the largest one to a relative 1e-4."""
     if feasibility.check_reference(robot, limits, reference, duration, gravity).feasible:
@@ -283,7 +290,7 @@ def fit_amplitude(
 
 
 def fit_speed(
-    robot: RobotParameters, limits: ReferenceLimits, reference: Reference, duration: float, gravity: float
+    robot: RobotParameters, limits: ReferenceLimits, reference: Reference, duration: float, gravity: Gravity
 ) -> tuple[Reference, float]:
     """The motion slowed down to be feasible, and the slowdown >= 1 [-], the smallest one to a relative 1e-4.
 
