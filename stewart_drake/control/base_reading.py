@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from stewart_drake.base.records import Record, Vec1, Vec12, Vec18, record
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.dynamics_laws import twists_of_motion
 from stewart_drake.mechanics.kinematics_laws import cross, euler_drift, euler_rates, roll_pitch_yaw, rotation, turned
+from stewart_drake.references.motions import Reference
 
 READING = "base_reading"
 """Signal (12,): what the base's inertial unit reads, see `robot.gravity.base_reading`, then its roll, pitch, yaw."""
@@ -35,8 +36,30 @@ def informed(parts: Iterable[Part]) -> tuple[list[Part], list[Part]]:
 
 def _write(given: np.ndarray, base_reading: np.ndarray, state: np.ndarray) -> None:
     state["params"] = given
-    for params in (state["params"], *(state["params"][name] for name in ("residual",) if name in given.dtype.names)):
+    for params in (
+        state["params"],
+        *(state["params"][name] for name in ("residual",) if name in (given.dtype.names or ())),
+    ):
         params["base"] = base_reading[:9]
+
+
+class LevelReference:
+    """A motion as it is asked of a robot on a base that moves: `level_tick` of its rows, where nothing is measured.
+
+    `base` gives the reading (n, 12) of an ideal sensor at times (n,) [s].
+    """
+
+    def __init__(self, motion: Reference, base: Callable[[np.ndarray], np.ndarray]) -> None:
+        self._motion, self._base = motion, base
+
+    def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        times, now, state = np.atleast_1d(np.asarray(time, dtype=float)).ravel(), np.zeros(1), LevelState.new()
+        rows = np.concatenate(self._motion.evaluate(times), axis=-1)
+        for row, reading in zip(rows, self._base(times), strict=True):
+            level_tick(now, row, reading, state)
+            row[:] = state["reference"][0]
+        rows = rows.reshape(*np.shape(time), 3, 6)
+        return rows[..., 0, :], rows[..., 1, :], rows[..., 2, :]
 
 
 class LevelState(Record):

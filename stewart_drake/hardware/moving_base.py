@@ -47,13 +47,13 @@ class BaseSensor(Section, key="base.sensor"):
     """Seed of the noise."""
 
     def parts(self, period: float, step: float, first: np.ndarray) -> list[Part]:
-        """Parts from `base` (12,), see `base_signal`, to `base_reading` (12,), in a period [s]; `first` is at t = 0."""
+        """From `base_motion` (12,), see `base_signal`, which begins with `first`, to `base_reading` (12,); times in [s]."""
         noise = self.attitude_noise, self.rate_noise, self.force_noise, self.acceleration_noise
-        sigma, parts, source = np.repeat(np.take(noise, [2, 1, 3, 0]), 3), [], "base"
+        sigma, parts, source = np.repeat(np.take(noise, [2, 1, 3, 0]), 3), [], "base_motion"
         if round(self.delay / step) > 0:
             source = "late_base"
             late = delay_part(round(self.delay / step), first, "base_delay")._replace(period=step)
-            parts.append(late.connected(value="base").named(value=source))
+            parts.append(late.connected(value="base_motion").named(value=source))
         numbers = {"sigma": sigma, "seed": self.noise_seed}
         part = Part("base_sensor", _read, numbers, {"base": 12}, ("base_reading",), BaseReading.new(base_reading=first))
         return [*parts, part._replace(period=period).connected(base=source)]

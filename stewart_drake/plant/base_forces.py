@@ -57,7 +57,7 @@ class BaseForces(LeafSystem):
 
     Ports:
         plant_state: in (nq + nv,), the state of the plant.
-        base: in (12,), its first nine numbers are those of `robot.gravity.base_reading`.
+        base: in (9,), see `robot.gravity.base_reading`.
         spatial_force: out, for the plant's port `applied_spatial_force`.
     """
 
@@ -66,10 +66,10 @@ class BaseForces(LeafSystem):
         self._robot, self._context = robot, robot.plant.CreateDefaultContext()
         size = robot.plant.num_positions() + robot.plant.num_velocities()
         self.plant_state = self.DeclareVectorInputPort("plant_state", size)
-        self.base = self.DeclareVectorInputPort("base", 12)
+        self.base = self.DeclareVectorInputPort("base", 9)
         forces = Value[list[ExternallyAppliedSpatialForce]]
         self.spatial_force = self.DeclareAbstractOutputPort("spatial_force", lambda: forces(), self._calc)
 
     def _calc(self, context: Context, output: AbstractValue) -> None:
         self._robot.plant.SetPositionsAndVelocities(self._context, self.plant_state.Eval(context))
-        output.set_value(base_forces(self._robot, self._context, self.base.Eval(context)[:9]))
+        output.set_value(base_forces(self._robot, self._context, self.base.Eval(context)))

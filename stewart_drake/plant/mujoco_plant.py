@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal, cast
 
 import numpy as np
 
@@ -249,7 +249,7 @@ class MujocoPlant:
 
     def __init__(self, robot: RobotParameters, options: MujocoOptions, gravity: Gravity) -> None:
         file = _File(options, mjcf_text(robot, gravity, options) if options.model_file is None else "")
-        self._still, self._moved = base_reading(gravity), None
+        self._still, self._moved = base_reading(gravity), cast("np.ndarray | None", None)
         self._mujoco, self._mjcf_legs, fit = file.mujoco, file.mjcf_legs, file.fit(robot)
         self._robot, self._home, (self._base, self._origin) = robot, home_frames(robot), fit.base
         site, body = self._add_platform(file, fit.platform, options)

@@ -15,6 +15,8 @@ from stewart_drake.robot.leg import LARGEST_SIZE, Signed3
 Gravity = float | Sequence[float] | np.ndarray
 """[m/s^2] a number, along -z of B; or a vector (3,) in B; or a reading (9,) of the base's inertial unit, see
 `base_reading`."""
+FixedGravity = float | tuple[float, float, float]
+"""[m/s^2] the same for a base at rest."""
 GravityKey = Annotated[
     Annotated[Real, Field(ge=-LARGEST_SIZE, le=LARGEST_SIZE)] | Signed3,
     with_message(
@@ -51,7 +53,7 @@ def check_gravity(gravity: Gravity) -> None:
     check_value("gravity", gravity, GravityKey)
 
 
-def turned_gravity(gravity: Gravity, orientation: ArrayLike) -> Gravity:
+def turned_gravity(gravity: FixedGravity, orientation: ArrayLike) -> FixedGravity:
     """Gravity in B of a base with these roll, pitch and yaw [rad]; a number stays a number where nothing turns."""
     if not np.any(orientation):
         return gravity

@@ -55,7 +55,13 @@ def check_scenario(scenario: Scenario) -> None:
     """Raises a ConfigurationError if the motion leaves the limits, or the robot cannot hold the start pose."""
     setup = (scenario.robot, scenario.controller_model, scenario.limits, scenario.safety, scenario.gravity_in_base)
     motion = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
-    key = (*setup, *motion, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
+    key = (
+        *setup,
+        *motion,
+        scenario.base,
+        scenario.base_compensation,
+        tuple(file_digests({"reference": to_plain(scenario.reference)}).items()),
+    )
     # A user's code may give other results the next time.
     repeatable = not user_parts(scenario)
     if not (repeatable and key in _PASSED):
@@ -89,7 +95,7 @@ def check_scenario(scenario: Scenario) -> None:
 
 def _length_hint(scenario: Scenario) -> list[str]:
     """A hint for motions of many metres."""
-    pose, _, _ = scenario.reference.evaluate(np.linspace(0.0, scenario.duration, 101))
+    pose, _, _ = scenario.asked.evaluate(np.linspace(0.0, scenario.duration, 101))
     farthest = float(np.abs(pose[:, 3:]).max())
     return [f"the motion goes to {farthest:.4g} m: are its lengths in mm?"] if farthest > _LARGEST["m"] else []
 
@@ -146,7 +152,7 @@ def _check_rates(scenario: Scenario) -> None:
 
 
 def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:
-    motion = (scenario.robot, scenario.limits, scenario.reference, scenario.duration, scenario.gravity_in_base)
+    motion = (scenario.robot, scenario.limits, scenario.asked, scenario.duration, scenario.gravity_in_base)
     try:
         # Overflows are reported as a violated limit or as a signal that is not finite.
         with user_code(scenario), np.errstate(all="ignore"):
@@ -178,7 +184,7 @@ def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
     if not names:
         return feasibility.FeasibilityReport({}, None)
     with user_code(scenario), np.errstate(all="ignore"), suppress(RunFailure, np.linalg.LinAlgError):
-        pose, rate, acceleration = scenario.reference.evaluate(time)
+        pose, rate, acceleration = scenario.asked.evaluate(time)
         torque = inverse_dynamics(plant.loaded(robot), pose, rate, acceleration, scenario.gravity_in_base)
         to_cranks, wrench = twist_jacobian(robot, pose), total_wrench(pushes, time)
         torque -= np.linalg.solve(np.swapaxes(to_cranks, -1, -2), wrench[..., None])[..., 0]
@@ -267,7 +273,7 @@ def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
     try:
         with user_code(scenario), np.errstate(all="ignore"):
             time = sample_times(scenario.duration, scenario.controller.period)
-            motion = scenario.reference.evaluate(time)
+            motion = scenario.asked.evaluate(time)
             refuse_motion(robot, safety, gravity, time, motion)
             refuse_start(robot, safety, gravity, *scenario.start(), motion[0][0])
     except ControllerError as error:

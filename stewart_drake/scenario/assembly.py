@@ -74,7 +74,7 @@ class Loop(NamedTuple):
     """
 
     parts: tuple[Part, ...]  # In order.
-    sources: tuple[Source, ...]  # Of the controller's side; `wrench` (6,), `base` (12,).
+    sources: tuple[Source, ...]  # Of the controller's side; `wrench`, `base`.
     torque: str  # Name of the signal (6,) [N m] that the motors give the plant.
     logged: Mapping[str, str | np.ndarray]  # See `ControlSide.logged`.
     inputs: Mapping[str, np.ndarray] = NOTHING  # Signals from outside, with their first values.
@@ -88,8 +88,8 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
     sensors = sensor_parts(scenario)
     side = control_side(scenario, split, "reading" if sensors else "plant_pose", scenario.base.sensor is not None)
     outside, logged = _outside(scenario), dict(side.logged)
-    names = {"wrench": "disturbance", "base": "base_motion"}
-    logged |= {names[source.signal]: source.signal for source in outside}
+    names = {"wrench": "disturbance", "base_motion": "base_motion"}
+    logged |= {names[source.signal]: source.signal for source in outside if source.signal in names}
     way = command_path(scenario, side.command, side.initial_command, side.context.period, side.safety)
     logged["torque_applied"] = "motor_torque"
     if side.safety is not None:
@@ -114,16 +114,17 @@ def machine_side(scenario: Scenario) -> Loop:
     return Loop((*sensors, *way), _outside(scenario), "motor_torque", reading, {"command": first})
 
 
-def _outside(scenario: Scenario) -> list[Source]:
-    """External wrenches, and the motion of the base in the middle of a step of the plant."""
+def _outside(scenario: Scenario) -> tuple[Source, ...]:
+    """External wrenches; and the motion of the base, `base` in the middle of a step of the plant."""
     pushes, base, sources = scenario.disturbances, scenario.base, list[Source]()
     if pushes:
         sources.append(Source("wrench", 6, lambda times: total_wrench(pushes, times)))
     if (motion := base.motion) is not None:
         base.check()
         gravity, half = scenario.gravity_in_base, 0.5 * scenario.plant.time_step
-        sources.append(Source("base", 12, lambda times: base_signal(motion, gravity, times + half)))
-    return sources
+        sources.append(Source("base", 9, lambda times: base_signal(motion, gravity, times + half)[:, :9]))
+        sources.append(Source("base_motion", 12, lambda times: base_signal(motion, gravity, times)))
+    return tuple(sources)
 
 
 def _base_sensor(scenario: Scenario) -> list[Part]:

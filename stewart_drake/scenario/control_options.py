@@ -35,7 +35,7 @@ from stewart_drake.hardware.motors import MotorOptions, TorqueMotors
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.references import AnyReference, RecordedReference, SineReference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity, GravityKey, Orientation, turned_gravity
+from stewart_drake.robot.gravity import FixedGravity, GravityKey, Orientation, turned_gravity
 from stewart_drake.robot.robot_files import AnyRobot
 from stewart_drake.robot.robot_scale import PAPER, defaults_of
 from stewart_drake.safety import SafetyOptions
@@ -75,7 +75,7 @@ class Model(NamedTuple):
     """The controller's model of the machine: `ModelOptions` with all values."""
 
     robot: RobotParameters
-    gravity: Gravity  # [m/s^2] in B.
+    gravity: FixedGravity  # [m/s^2] in B.
     friction: FrictionCompensation | None
     reading: Literal["angles", "pose"]
     noise: float  # [rad] of a crank's angle.
@@ -170,7 +170,7 @@ class ControlOptions(Section):
         return Model(PAPER, STANDARD_GRAVITY, None, "angles", 0.0, 0, TorqueMotors())
 
     @property
-    def nominal_gravity(self) -> tuple[Gravity, Orientation]:
+    def nominal_gravity(self) -> tuple[FixedGravity, Orientation]:
         """Gravity [m/s^2] in the world and orientation of the base, where `model` has none."""
         return STANDARD_GRAVITY, (0.0, 0.0, 0.0)
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar
 
+import numpy as np
 from pydantic import Field, TypeAdapter
 
 from stewart_drake.base.atomic_files import Document
@@ -21,15 +23,17 @@ from stewart_drake.base.families import user_parts
 from stewart_drake.base.registry import MOTORS, OWN_METRICS, PLANTS, SENSORS
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.base.yaml_files import find_file, parse_changes, read_mapping
+from stewart_drake.control.base_reading import LevelReference
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.motors import LinkOptions, MotorOptions, TorqueMotors
-from stewart_drake.hardware.moving_base import BaseOptions
+from stewart_drake.hardware.moving_base import BaseOptions, base_signal
 from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.plant.plant_options import DrakeOptions, PlantOptions
 from stewart_drake.references import RecordedReference
+from stewart_drake.references.motions import Reference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity, GravityKey, Orientation, gravity_text, turned_gravity
+from stewart_drake.robot.gravity import FixedGravity, GravityKey, Orientation, gravity_text, turned_gravity
 from stewart_drake.robot.robot_files import AnyRobot
 from stewart_drake.robot.robot_scale import PAPER
 from stewart_drake.scenario.control_options import ControlOptions, Model
@@ -121,12 +125,24 @@ class Scenario(ControlOptions):
         return Model(self.robot, self.gravity_in_base, None, *read, self.command_delay, motors, readings.delay)
 
     @property
-    def nominal_gravity(self) -> tuple[Gravity, Orientation]:
+    def asked(self) -> Reference:
+        """The reference as the robot is asked to follow it, turned against a moving base where the controller does."""
+        if self.base_compensation != "level" or self.base.motion is None:
+            return self.reference
+        return LevelReference(self.reference, partial(base_signal, self.base.motion, self.gravity_in_base))
+
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pose (6,) and pose rate (6,) at t = 0, of the reference as asked."""
+        pose, rate, _ = self.asked.evaluate(0.0)
+        return pose + np.array(self.initial_offset), rate
+
+    @property
+    def nominal_gravity(self) -> tuple[FixedGravity, Orientation]:
         """Those of the simulation."""
         return self.gravity, self.base.orientation
 
     @property
-    def gravity_in_base(self) -> Gravity:
+    def gravity_in_base(self) -> FixedGravity:
         """[m/s^2] gravity in B, at its mean position: a number along -z, or a vector."""
         return turned_gravity(self.gravity, self.base.orientation)
 

@@ -47,7 +47,9 @@ class SteppedLoop:
         time_step, self.now = scenario.plant.time_step, 0
         self._step = on_grid(time_step)
         self.plant = scenario.plant.make(scenario.robot, scenario.gravity_in_base) if plant is None else plant
-        evaluated = {source.signal: InBlocks(source.evaluate, time_step).at for source in self.parts.sources}
+        evaluated: dict[str, Callable[[int], np.ndarray]] = {
+            source.signal: InBlocks(source.evaluate, time_step).at for source in self.parts.sources
+        }
         for name, replacing in (sources or {}).items():
             unturned = f"unturned_{name}"
             evaluated[unturned if unturned in evaluated else name] = replacing
@@ -56,7 +58,7 @@ class SteppedLoop:
         inside = {"plant_pose": slice(POSE.start, RATE.stop), "crank_state": slice(ANGLES.start, CRANK_RATES.stop)}
         self.runner = LoopRunner(self.parts.parts, outside, inside, scenario.controller.period, time_step)
         self.measured, self._wrench = self.runner.signal("measured"), self.runner.signal("wrench")
-        self._base = self.runner.signal("base")[:9] if "base" in outside else None
+        self._base = self.runner.signal("base") if "base" in outside else None
         self.torque = self.runner.signal(self.parts.torque)
         self._sources = [(self.runner.signal(name), evaluate) for name, evaluate in evaluated.items()]
 
