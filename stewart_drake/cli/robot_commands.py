@@ -40,7 +40,8 @@ def robots() -> None:
     rows = []
     for name in robot_names():
         robot = load_robot(name)
-        size = f"{2e3 * robot.base_radius:.0f} mm across, {1e3 * (robot.home_height - robot.base_height):.0f} mm high"
+        high = abs(robot.home_height - robot.base_height)
+        size = f"{2e3 * robot.base_radius:.0f} mm across, {1e3 * high:.0f} mm high"
         rows.append((name, robot_about(name), size, f"{robot.platform_mass:.3g} kg"))
     print_table("robots", rows, ("robot", "what it is", "size", "platform"), numbers=())
 

@@ -47,7 +47,7 @@ class BaseSensor(Section, key="base.sensor"):
     """Seed of the noise."""
 
     def parts(self, period: float, step: float, first: np.ndarray) -> list[Part]:
-        """From `base_motion` (12,), see `base_signal`, which begins with `first`, to `base_reading` (12,); times in [s]."""
+        """From `base_motion` (12,), which begins with `first`, to `base_reading` (12,); period and step in [s]."""
         noise = self.attitude_noise, self.rate_noise, self.force_noise, self.acceleration_noise
         sigma, parts, source = np.repeat(np.take(noise, [2, 1, 3, 0]), 3), [], "base_motion"
         if round(self.delay / step) > 0:

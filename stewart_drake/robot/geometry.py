@@ -22,6 +22,7 @@ from stewart_drake.robot.leg import (
     DIRECTION_TOLERANCE,
     LARGEST_SIZE,
     LEG_COUNT,
+    Signed,
     Signed3,
     Size,
     crank_angles,
@@ -109,7 +110,11 @@ _PAIR_RATIO = 1.5  # [-] Least distance of a shaft to the other shafts, over tha
 _SIDE = 0.05  # [-] Least sine of the angle between a partner and the centre.
 LEVEL_SPREAD = 0.01  # [-] Largest difference of the heights at which cranks are level, over the rod's length.
 _ALL_LENGTHS = ("crank_length", "rod_length", "home_height", "link_radius", "characteristic_length")
-_LENGTHS: dict[str, object] = {**dict.fromkeys(_ALL_LENGTHS, Size), "platform_center_of_mass": Signed3}
+_LENGTHS: dict[str, object] = {
+    **dict.fromkeys(_ALL_LENGTHS, Size),
+    "home_height": Signed,
+    "platform_center_of_mass": Signed3,
+}
 _CHECKED = _LENGTHS | dict.fromkeys(("platform_mass", "rod_mass", "crank_mass"), Size)
 _MAX_BYTES = 1_000_000
 _LINK_RADIUS = 0.005 / 0.11  # [-] Over the characteristic length, as in the paper's robot.
@@ -160,7 +165,9 @@ def from_table(table: str | Path | ArrayLike, unit: Unit, cranks: Cranks, parame
     pairs = () if "crank_x" in columns or cranks == "outwards" else _pairs(columns, shafts)
     zero, up = _directions(columns, shafts, cranks, pairs)
     rods, height = lengths["rod_length"], chosen.get("home_height")
-    levels = _levels(shafts + lengths["crank_length"][:, None] * zero, joints, rods, height is None)
+    levels = _levels(
+        shafts + lengths["crank_length"][:, None] * zero, joints, rods, height is None, float(height or 0.0) < 0.0
+    )
     height = float(levels.mean() if height is None else height)
     span = joints + [0.0, 0.0, height] - shafts
     of_legs = {
@@ -292,8 +299,11 @@ def _unit(vectors: np.ndarray, name: str, allowed: str) -> np.ndarray:
     return np.asarray(vectors / size)
 
 
-def _levels(tips: np.ndarray, joints: np.ndarray, rods: np.ndarray, needed: bool) -> np.ndarray:
-    """Heights (6,) [m] of P at which the legs' cranks are at theta = 0; NaN where a rod is too short, if not needed."""
+def _levels(tips: np.ndarray, joints: np.ndarray, rods: np.ndarray, needed: bool, below: bool) -> np.ndarray:
+    """Heights (6,) [m] of P at which the legs' cranks are at theta = 0, maybe below them.
+
+    NaN where a rod is too short, if that is not needed.
+    """
     across = np.linalg.norm((joints - tips)[:, :2], axis=-1)
     if needed and (rods <= across).any():
         leg = int((rods - across).argmin())
@@ -301,7 +311,7 @@ def _levels(tips: np.ndarray, joints: np.ndarray, rods: np.ndarray, needed: bool
         hint = "; are the positions in millimetres? set unit to mm" if across[leg] > 100.0 * rods[leg] else ""
         raise ConfigurationError(f"table: rod_length of leg {leg}", float(rods[leg]), allowed + hint)
     with np.errstate(invalid="ignore"):
-        return np.asarray(tips[:, 2] - joints[:, 2] + np.sqrt(rods**2 - across**2))
+        return np.asarray(tips[:, 2] - joints[:, 2] + (-1.0 if below else 1.0) * np.sqrt(rods**2 - across**2))
 
 
 def _spread(levels: np.ndarray, rods: np.ndarray) -> str:

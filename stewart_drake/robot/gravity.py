@@ -19,9 +19,7 @@ FixedGravity = float | tuple[float, float, float]
 """[m/s^2] the same for a base at rest."""
 GravityKey = Annotated[
     Annotated[Real, Field(ge=-LARGEST_SIZE, le=LARGEST_SIZE)] | Signed3,
-    with_message(
-        "a number, along -z, negative where the robot hangs; or three numbers gx, gy, gz, such as 0, 0, -9.81"
-    ),
+    with_message("a number, along -z, or three numbers gx, gy, gz, such as 0, 0, -9.81"),
 ]
 """Gravity in a file."""
 Orientation = Annotated[

@@ -24,6 +24,10 @@ Length = Annotated[
     Real, Field(ge=SMALLEST_SIZE, le=30.0), with_message("a length above 0 and at most 30 m; in millimetres?")
 ]
 """[m]"""
+Height = Annotated[
+    Real, Field(ge=-30.0, le=30.0), with_message("a height within 30 m, negative below the base; in millimetres?")
+]
+"""[m]"""
 Coordinate = Annotated[Real, Field(ge=-30.0, le=30.0)]
 """[m]"""
 Position = tuple[Coordinate, Coordinate, Coordinate]

@@ -25,7 +25,7 @@ from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian
 from stewart_drake.references import AdjustedReference, Reference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity, gravity_vector
+from stewart_drake.robot.gravity import Gravity, gravity_text, gravity_vector
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
 from stewart_drake.scenario.limits import LimitMargin, ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
@@ -53,6 +53,7 @@ def refuse_unrunnable(scenario: Scenario) -> None:
 
 def check_scenario(scenario: Scenario) -> None:
     """Raises a ConfigurationError if the motion leaves the limits, or the robot cannot hold the start pose."""
+    scenario.base.check()
     setup = (scenario.robot, scenario.controller_model, scenario.limits, scenario.safety, scenario.gravity_in_base)
     motion = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
     key = (
@@ -234,7 +235,7 @@ def compared_with_model(scenario: Scenario) -> list[tuple[str, str, str]]:
             for key, words, unit in _FRICTION
         ),
         ("payload", text(plant.payload_mass, "kg"), text(0.0, "kg")),
-        ("gravity", text(scenario.gravity_in_base, "m/s^2"), text(model.gravity, "m/s^2")),
+        ("gravity", *(f"{gravity_text(one)} m/s^2" for one in (scenario.gravity_in_base, model.gravity))),
         ("noise of a crank's angle", text(correct.noise, "rad"), text(model.noise, "rad")),
         ("delay of a command [ticks]", str(correct.delay), str(model.delay)),
         ("age of a reading", text(correct.reading_age, "s"), text(model.reading_age, "s")),

@@ -24,7 +24,7 @@ from stewart_drake.plant.context_parameters import WithParameters
 from stewart_drake.plant.model_files import home_frames
 from stewart_drake.plant.plant_options import MechanismOptions
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity, check_gravity, gravity_vector
+from stewart_drake.robot.gravity import Gravity, base_reading, check_gravity
 
 
 def _evaluate(function: Callable[[np.ndarray], np.ndarray], at: np.ndarray) -> np.ndarray:
@@ -46,7 +46,7 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
         are central differences.
 
         Its numeric parameters are `robot`, a record with the payload, of which masses and inertias may be changed,
-        `friction` and `gravity` (3,) [m/s^2], a vector in B.
+        `friction` and `gravity` (1,) or (3,) as it was given.
 
         Ports:
             torque: in (6,) [N m], of the motors; limited to their effort limit.
@@ -73,7 +73,11 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
             if friction["break_away"].any():
                 raise ConfigurationError("friction", "motors that stick", "viscous friction alone, in continuous time")
             self._arguments, self._home = (robot, options, gravity), home_frames(robot)
-            numbers = {"robot": options.loaded(robot), "friction": friction, "gravity": gravity_vector(gravity)}
+            numbers = {
+                "robot": options.loaded(robot),
+                "friction": friction,
+                "gravity": np.atleast_1d(np.asarray(gravity, dtype=float)),
+            }
             self._numbers = self.declare_parameters(numbers, BasicVector_[T])
             self.torque = self.DeclareVectorInputPort("torque", 6)
             self.wrench = self.DeclareVectorInputPort("wrench", 6)
@@ -105,7 +109,8 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
             state = context.get_continuous_state_vector().CopyToVector()
             wrench = self.wrench.Eval(context) if self.wrench.HasValue(context) else np.zeros(6)
             self.read_parameters(context)
-            still = np.append(-self._numbers["gravity"], np.zeros(6))
+            gravity = self._numbers["gravity"]
+            still = base_reading(gravity if len(gravity) == 3 else float(gravity[0]))
             base = self.base.Eval(context) if self.base.HasValue(context) else still
             rate = _evaluate(self._rate, np.concatenate([state, self.torque.Eval(context), wrench, base]))
             derivatives.get_mutable_vector().SetFromVector(rate)
