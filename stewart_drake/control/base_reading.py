@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,7 +12,9 @@ from stewart_drake.base.records import Record, Vec1, Vec12, Vec18, record
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.dynamics_laws import twists_of_motion
 from stewart_drake.mechanics.kinematics_laws import cross, euler_drift, euler_rates, roll_pitch_yaw, rotation, turned
-from stewart_drake.references.motions import Reference
+
+if TYPE_CHECKING:
+    from stewart_drake.references.motions import Reference
 
 READING = "base_reading"
 """Signal (12,): what the base's inertial unit reads, see `robot.gravity.base_reading`, then its roll, pitch, yaw."""

@@ -241,6 +241,7 @@ def recording_of_log(log: SimulationLog, source: str = "log") -> Recording:
 
 def readings_of_log(log: SimulationLog, source: str) -> tuple[slice, np.ndarray]:
     """Rows of a log that are ticks, and the angles (n, 6) [rad] that were read there."""
+    log.scenario.base.refuse_motion("an identification: it takes the base for one at rest")
     if "reading" not in log:
         allowed = "a log with the angles that were read, the signal reading; run with sensors=encoders"
         raise ConfigurationError(source, f"sensors.kind {log.scenario.sensors.kind}", allowed)

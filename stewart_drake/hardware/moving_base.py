@@ -74,6 +74,11 @@ class BaseOptions(Section, key="base"):
         if self.sensor is not None and self.motion is None:
             raise ConfigurationError("sensor", "a sensor", "null, for a base at rest; or give its motion")
 
+    def refuse_motion(self, what: str) -> None:
+        """Refuses a base that moves, for something that needs one at rest."""
+        if self.motion is not None:
+            raise ConfigurationError("base.motion", "a motion", f"null, for {what}")
+
     def check(self) -> None:
         """Refuses a recording that cannot be the motion of a base from the beginning on."""
         if isinstance(self.motion, RecordedReference):

@@ -235,7 +235,7 @@ def compared_with_model(scenario: Scenario) -> list[tuple[str, str, str]]:
             for key, words, unit in _FRICTION
         ),
         ("payload", text(plant.payload_mass, "kg"), text(0.0, "kg")),
-        ("gravity", *(f"{gravity_text(one)} m/s^2" for one in (scenario.gravity_in_base, model.gravity))),
+        ("gravity", f"{gravity_text(scenario.gravity_in_base)} m/s^2", f"{gravity_text(model.gravity)} m/s^2"),
         ("noise of a crank's angle", text(correct.noise, "rad"), text(model.noise, "rad")),
         ("delay of a command [ticks]", str(correct.delay), str(model.delay)),
         ("age of a reading", text(correct.reading_age, "s"), text(model.reading_age, "s")),

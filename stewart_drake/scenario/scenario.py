@@ -174,8 +174,8 @@ class Scenario(ControlOptions):
         if motors.code is None and model_motors.command_quantity != motors.command_quantity:
             allowed = f"motors that take {motors.command_quantity} [{motors.unit}], as `motors` do"
             raise ConfigurationError("model.motors.kind", model_motors.kind, allowed)
-        if self.base.motion is not None and not self.plant.base_moves:
-            raise ConfigurationError("base.motion", "a motion", f"null, with plant.kind {self.plant.kind}")
+        if not self.plant.base_moves:
+            self.base.refuse_motion(f"plant.kind {self.plant.kind}")
         if self.base_compensation != "none" and self.base.sensor is None:
             raise ConfigurationError("base_compensation", self.base_compensation, "none, without base.sensor")
         steps_per("controller.period", self.controller.period, self.plant.time_step)

@@ -73,11 +73,8 @@ def _of_scalar(T: Any) -> Any:  # noqa: N803 - Drake's name
             if friction["break_away"].any():
                 raise ConfigurationError("friction", "motors that stick", "viscous friction alone, in continuous time")
             self._arguments, self._home = (robot, options, gravity), home_frames(robot)
-            numbers = {
-                "robot": options.loaded(robot),
-                "friction": friction,
-                "gravity": np.atleast_1d(np.asarray(gravity, dtype=float)),
-            }
+            vector = np.atleast_1d(np.asarray(gravity, dtype=float))
+            numbers = {"robot": options.loaded(robot), "friction": friction, "gravity": vector}
             self._numbers = self.declare_parameters(numbers, BasicVector_[T])
             self.torque = self.DeclareVectorInputPort("torque", 6)
             self.wrench = self.DeclareVectorInputPort("wrench", 6)
