@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Record, Vec1, Vec12, Vec18, record
+from stewart_drake.base.records import Record, Vec18
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.dynamics_laws import twists_of_motion
-from stewart_drake.mechanics.kinematics_laws import cross, euler_drift, euler_rates, roll_pitch_yaw, rotation, turned
+from stewart_drake.mechanics.kinematics_laws import euler_drift, euler_rates, roll_pitch_yaw, rotation
 
 if TYPE_CHECKING:
     from stewart_drake.references.motions import Reference
@@ -77,42 +76,21 @@ def level_part(source: str, reference: str, ahead: float) -> Part:
     return part.connected(motion=source).named(reference=reference)
 
 
-@njit
-def level_tick(ahead: Vec1, motion: Vec18, base_reading: Vec12, state: LevelState) -> None:
+def level_tick(ahead: np.ndarray, motion: np.ndarray, base_reading: np.ndarray, state: np.ndarray) -> None:
     """Turns a motion against the base, so that the platform's attitude in the world is that on a base at rest.
 
     R_BP = R_MB' R_MP, with B where it will be after `ahead`. Positions stay those in B.
     """
-    out, rows, turn, wanted = record(state).reference, np.zeros((8, 3)), np.empty((3, 3)), np.empty((3, 3))
-    attitude, w, alpha, in_mean, world_w, world_alpha = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
-    twist, twist_rate, result, h = np.empty(6), np.empty(6), np.zeros((3, 3)), ahead[0]
-    rotation(base_reading[9:], turn)
-    for k in range(3):
-        alpha[k] = base_reading[6 + k]
-        w[k] = base_reading[3 + k] + h * alpha[k]
-        rows[6, k] = base_reading[3 + k] + 0.5 * h * alpha[k]
-    turned(turn, rows[6], in_mean)
-    euler_rates(base_reading[9:], in_mean, attitude)
-    for k in range(3):
-        attitude[k] = base_reading[9 + k] + h * attitude[k]
+    (_, spin, alpha, attitude), out, h = base_reading.reshape(4, 3), state["reference"][0], ahead[0]
+    turn, wanted, rate, twist, twist_rate, drift = (np.empty(n) for n in ((3, 3), (3, 3), 3, 6, 6, 3))
     rotation(attitude, turn)
+    euler_rates(attitude, turn @ (spin + 0.5 * h * alpha), rate)
+    rotation(attitude + h * rate, turn)
     rotation(motion[:3], wanted)
     twists_of_motion(motion[:6], motion[6:12], motion[12:], twist, twist_rate)
-    for k in range(3):
-        for m in range(3):
-            world_w[k] += turn[m, k] * twist[m]
-            world_alpha[k] += turn[m, k] * twist_rate[m]
-            for j in range(3):
-                result[k, m] += turn[j, k] * wanted[j, m]
-    roll_pitch_yaw(result, out[:3])
-    cross(w, world_w, rows[6])
-    for k in range(3):
-        world_alpha[k] -= rows[6, k] + alpha[k]
-        world_w[k] -= w[k]
-        for row in range(3):
-            out[6 * row + 3 + k] = motion[6 * row + 3 + k]
-    euler_rates(out[:3], world_w, out[6:9])
-    euler_drift(out[:3], out[6:9], rows[7])
-    for k in range(3):
-        world_alpha[k] -= rows[7, k]
-    euler_rates(out[:3], world_alpha, out[12:15])
+    roll_pitch_yaw(turn.T @ wanted, out[:3])
+    w, in_base = spin + h * alpha, turn.T @ twist[:3]
+    euler_rates(out[:3], in_base - w, out[6:9])
+    euler_drift(out[:3], out[6:9], drift)
+    euler_rates(out[:3], turn.T @ twist_rate[:3] - np.cross(w, in_base) - alpha - drift, out[12:15])
+    out.reshape(3, 6)[:, 3:] = motion.reshape(3, 6)[:, 3:]

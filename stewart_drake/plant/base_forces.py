@@ -22,29 +22,22 @@ def base_forces(robot: StewartRobot, context: Context, base: np.ndarray) -> list
 
     The bodies move relative to the base, which stays where it is. `base` (9,) is what its inertial unit reads.
     """
-    plant, place = robot.plant, robot.base
-    bodies = [
-        plant.get_body(index)
-        for index in plant.GetBodyIndices(robot.instance)
-        if plant.get_body(index).default_mass() > 0.0
-    ]
-    rotation, columns = place.rotation().matrix(), []
+    plant, place, columns = robot.plant, robot.base, []
+    bodies = [body for index in plant.GetBodyIndices(robot.instance) if (body := plant.get_body(index)).default_mass()]
     for body in bodies:
-        of_body = body.CalcSpatialInertiaInBodyFrame(context)
-        pose, motion = body.EvalPoseInWorld(context), body.EvalSpatialVelocityInWorld(context)
-        turn, centre = pose.rotation().matrix(), of_body.get_com()
-        central = of_body.CopyToFullMatrix6()[:3, :3] - of_body.get_mass() * (
-            centre @ centre * np.eye(3) - np.outer(centre, centre)
+        inertia, pose, motion = (
+            of(context)
+            for of in (body.CalcSpatialInertiaInBodyFrame, body.EvalPoseInWorld, body.EvalSpatialVelocityInWorld)
         )
-        arm, spin = turn @ centre, motion.rotational()
+        turn, centre, spin, mass = pose.rotation().matrix(), inertia.get_com(), motion.rotational(), inertia.get_mass()
+        arm, about = turn @ centre, inertia.CopyToFullMatrix6()[:3, :3]
+        central = about - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
         at, velocity = pose.translation() + arm - place.translation(), motion.translational() + np.cross(spin, arm)
-        columns.append((of_body.get_mass(), at, velocity, spin, turn @ central @ turn.T, centre))
-    mass, at, velocity, spin, inertia, centres = (np.array(column) for column in zip(*columns, strict=True))
-    in_world = (np.reshape(base - base_reading(robot.gravity), (3, 3)) @ rotation.T).ravel()
+        columns.append((mass, at, velocity, spin, turn @ central @ turn.T, centre))
+    *numbers, centres = (np.array(column) for column in zip(*columns, strict=True))
+    in_world = (np.reshape(base - base_reading(robot.gravity), (3, 3)) @ place.rotation().matrix().T).ravel()
     forces = []
-    for body, centre, moment, force in zip(
-        bodies, centres, *base_wrenches(in_world, mass, at, velocity, spin, inertia), strict=True
-    ):
+    for body, centre, moment, force in zip(bodies, centres, *base_wrenches(in_world, *numbers), strict=True):
         applied = ExternallyAppliedSpatialForce()
         applied.body_index, applied.p_BoBq_B = body.index(), centre
         applied.F_Bq_W = SpatialForce(tau=moment, f=force)

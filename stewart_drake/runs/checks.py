@@ -56,13 +56,8 @@ def check_scenario(scenario: Scenario) -> None:
     scenario.base.check()
     setup = (scenario.robot, scenario.controller_model, scenario.limits, scenario.safety, scenario.gravity_in_base)
     motion = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
-    key = (
-        *setup,
-        *motion,
-        scenario.base,
-        scenario.base_compensation,
-        tuple(file_digests({"reference": to_plain(scenario.reference)}).items()),
-    )
+    files = {"reference": to_plain(scenario.reference), "base": to_plain(scenario.base)}
+    key = (*setup, *motion, scenario.base, scenario.base_compensation, tuple(file_digests(files).items()))
     # A user's code may give other results the next time.
     repeatable = not user_parts(scenario)
     if not (repeatable and key in _PASSED):
@@ -253,11 +248,8 @@ def likely_cause(scenario: Scenario, ended: float) -> str:
     if worst := plant_report(scenario).first_violation:
         return f"{worst.where} needs {worst.value:.4g} N m, its motor has {worst.bound:.4g} N m"
     period, slow = scenario.controller.period, _SLOW_LOOP_FALL * scenario.robot.characteristic_length
-    fall = (
-        0.5
-        * float(np.linalg.norm(gravity_vector(scenario.gravity_in_base)))
-        * (period * (1 + scenario.loop_delay)) ** 2
-    )
+    size = float(np.linalg.norm(gravity_vector(scenario.gravity_in_base)))
+    fall = 0.5 * size * (period * (1 + scenario.loop_delay)) ** 2
     if (
         ended > _SLOW_LOOP_TICKS * period
         or fall < slow
