@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from stewart_drake import Controller, Scenario, load_scenario, run
+from stewart_drake import Controller, RobotParameters, Scenario, load_scenario, run
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.export.fmu import robot_unit
 from stewart_drake.mechanics.dynamics import static_torque
@@ -91,9 +91,8 @@ def test_a_robot_hangs_with_its_home_below_the_base():
     joint = np.radians([-40, 40, 80, 160, 200, 280])
     around = [np.stack([r * np.cos(a), r * np.sin(a), 0 * a], axis=1) for r, a in ((0.08, turn), (0.06, joint))]
     masses = {"platform_mass": 0.3, "rod_mass": 0.01, "crank_mass": 0.01, "rotor_inertia": 1e-4, "effort_limit": 2.0}
-    robot = Scenario.from_dict({}).robot.from_table(
-        np.hstack(around), "m", "towards", crank_length=0.02, rod_length=0.09, home_height=-0.08, **masses
-    )
+    lengths = {"crank_length": 0.02, "rod_length": 0.09, "home_height": -0.08}
+    robot = RobotParameters.from_table(np.hstack(around), unit="m", cranks="towards", **lengths, **masses)
     pose = robot.home_pose
     assert pose[5] == -0.08
     for kind in ("drake", "closed_form", "mujoco"):
