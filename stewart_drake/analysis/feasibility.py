@@ -14,8 +14,7 @@ from stewart_drake.base.tables import AXES
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import reach_margin
 from stewart_drake.references import Reference
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.robot_scale import PAPER
 from stewart_drake.scenario.limits import PLACES, LimitMargin, ReferenceLimits, limit_bounds, limit_margins
 

@@ -24,8 +24,7 @@ from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.mechanics.kinematics_laws import Robot
 from stewart_drake.mechanics.linear_algebra import DIFFERENCE_STEP, derivatives
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.scenario.assembly import control_side
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 

@@ -17,8 +17,7 @@ from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import reach_margin, rotation_matrix
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.scenario.limits import ReferenceLimits, limit_bounds, measure_poses
 
 Kind = Literal["position", "orientation"]

@@ -37,8 +37,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import Legs, robot_record
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import base_reading
+from stewart_drake.robot import RobotParameters, base_reading
 
 if TYPE_CHECKING:
     from stewart_drake.scenario.control_options import Model

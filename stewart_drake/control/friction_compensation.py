@@ -16,8 +16,7 @@ from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.friction import Friction, FrictionOptions, dry_level
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot, crank_rates, legs_at, robot_record, twist_of
 from stewart_drake.mechanics.linear_algebra import all_finite, set_to
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 
 
 def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: Gravity) -> np.ndarray:

@@ -43,8 +43,7 @@ from stewart_drake.mechanics.dynamics import ForceMapKind
 from stewart_drake.mechanics.dynamics_laws import motion_torque, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import all_finite, any_nonzero, copy_to, set_to, solve
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity, base_reading
+from stewart_drake.robot import Gravity, RobotParameters, base_reading
 from stewart_drake.robot.leg import LARGEST_SIZE
 from stewart_drake.robot.robot_scale import CHARACTERISTIC_LENGTH
 

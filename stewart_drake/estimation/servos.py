@@ -34,8 +34,7 @@ from stewart_drake.loop.part import BoundPart
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.plant.closed_form import ClosedFormOptions
 from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 from stewart_drake.scenario.assembly import context_of
 from stewart_drake.scenario.control_options import ControlOptions

@@ -29,8 +29,7 @@ from stewart_drake.logs.log import SimulationLog, load_log
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics
 from stewart_drake.mechanics.kinematics import crank_rates, forward_kinematics, inverse_kinematics, leg_geometry
 from stewart_drake.mechanics.kinematics_laws import Robot, robot_record
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
 _MOTORS = tuple(f"motor {leg}" for leg in range(LEG_COUNT))

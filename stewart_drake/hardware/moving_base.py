@@ -46,18 +46,6 @@ class BaseSensor(Section, key="base.sensor"):
     noise_seed: Seed = 0
     """Seed of the noise."""
 
-    def parts(self, period: float, step: float, first: np.ndarray) -> list[Part]:
-        """From `base_motion` (12,), which begins with `first`, to `base_reading` (12,); period and step in [s]."""
-        noise = self.attitude_noise, self.rate_noise, self.force_noise, self.acceleration_noise
-        sigma, parts, source = np.repeat(np.take(noise, [2, 1, 3, 0]), 3), [], "base_motion"
-        if round(self.delay / step) > 0:
-            source = "late_base"
-            late = delay_part(round(self.delay / step), first, "base_delay")._replace(period=step)
-            parts.append(late.connected(value="base_motion").named(value=source))
-        numbers = {"sigma": sigma, "seed": self.noise_seed}
-        part = Part("base_sensor", _read, numbers, {"base": 12}, ("base_reading",), BaseReading.new(base_reading=first))
-        return [*parts, part._replace(period=period).connected(base=source)]
-
 
 class BaseOptions(Section, key="base"):
     """Where the base of the simulated robot is: hanging or tilted, and in motion, as on a ship."""
@@ -73,6 +61,20 @@ class BaseOptions(Section, key="base"):
     def rules(self) -> None:
         if self.sensor is not None and self.motion is None:
             raise ConfigurationError("sensor", "a sensor", "null, for a base at rest; or give its motion")
+
+    def sensor_parts(self, gravity: Gravity, period: float, step: float) -> list[Part]:
+        """Parts from `base_motion` (12,), see `base_signal`, to `base_reading` (12,); none without a sensor."""
+        if (sensor := self.sensor) is None or self.motion is None:
+            return []
+        noise = sensor.attitude_noise, sensor.rate_noise, sensor.force_noise, sensor.acceleration_noise
+        numbers = {"sigma": np.repeat(np.take(noise, [2, 1, 3, 0]), 3), "seed": sensor.noise_seed}
+        first, late = base_signal(self.motion, gravity, np.zeros(1))[0], round(sensor.delay / step)
+        initial, inputs = BaseReading.new(base_reading=first), {"base_motion": 12}
+        part = Part("base_sensor", _read, numbers, inputs, ("base_reading",), initial, period=period)
+        if late == 0:
+            return [part]
+        delay = delay_part(late, first, "base_delay")._replace(period=step).connected(value="base_motion")
+        return [delay.named(value="late_base"), part.connected(base_motion="late_base")]
 
     def refuse_motion(self, what: str) -> None:
         """Refuses a base that moves, for something that needs one at rest."""
@@ -121,8 +123,8 @@ class BaseReading(Record):
     ticks: float  # Done; the number of the next tick's noise.
 
 
-def _read(sigma: np.ndarray, seed: int, base: np.ndarray, state: BaseReading) -> None:
+def _read(sigma: np.ndarray, seed: int, base_motion: np.ndarray, state: BaseReading) -> None:
     """A reading of the base's motion, with noise."""
     normal = np.zeros(12) if not sigma.any() else tick_numbers(seed, _STREAM, int(state["ticks"][0]), 12, normal=True)
-    state["base_reading"][0] = base + sigma * normal
+    state["base_reading"][0] = base_motion + sigma * normal
     state["ticks"] += 1.0

@@ -23,8 +23,7 @@ from stewart_drake.logs.rows import Rows, row_layout
 from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_jacobian, rotation_matrix
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.scenario.scenario import Scenario
 
 _PULL_LENGTH = 0.15  # [characteristic lengths] stretch of a spring at its largest force.

@@ -10,8 +10,7 @@ import numpy as np
 from stewart_drake.analysis.feasibility import checked_times
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.references.motions import Reference
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.scenario.limits import PLACES, ReferenceLimits, limit_margins
 from stewart_drake.scenario.scenario import Scenario
 

@@ -19,8 +19,7 @@ from stewart_drake.base.jit import specialised
 from stewart_drake.base.keys import join_or
 from stewart_drake.base.records import Record, TickResult
 from stewart_drake.base.sampling import steps_per
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 
 if TYPE_CHECKING:
     from stewart_drake.control.friction_compensation import FrictionCompensation

@@ -17,8 +17,7 @@ from stewart_drake.base.records import Matrix, Vec9, record
 from stewart_drake.mechanics import dynamics_laws as laws
 from stewart_drake.mechanics.kinematics import LegGeometry, RobotLike, at_poses, leg_geometry, rod_lines
 from stewart_drake.mechanics.kinematics_laws import LEGS, OK, PARALLEL, UNREACHABLE, Robot, legs_at
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity, base_reading
+from stewart_drake.robot import Gravity, RobotParameters, base_reading
 
 STANDARD_GRAVITY = 9.81
 """[m/s^2] as in Drake's default field."""

@@ -17,8 +17,7 @@ from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.plotting.style import chart
 from stewart_drake.references import paper_reference
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT, SMALLEST_SIZE
 
 SETTLING_STEPS = 14

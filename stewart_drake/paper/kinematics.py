@@ -28,8 +28,7 @@ from stewart_drake.paper.reproduce import ANNOUNCED, SEED, WIDE, Claim, Reproduc
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.plotting.style import chart
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.leg import crank_angles, crank_equation
 
 START = np.array([0.1, -0.05, 0.1, 0.01, -0.02, 0.01])

@@ -22,8 +22,7 @@ from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import any_nonzero, copy_to, solve
 from stewart_drake.plant.model_files import HomeFrames, home_frames
 from stewart_drake.plant.plant_options import MechanismOptions, foreign_state
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity, base_reading
+from stewart_drake.robot import Gravity, RobotParameters, base_reading
 
 SUBSTEPS = 8
 """Number of substeps of `rk4` in a step in which a motor with dry friction reverses or sticks."""

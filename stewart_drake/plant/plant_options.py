@@ -18,8 +18,7 @@ from stewart_drake.base.families import UserMade, imported
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.friction import Friction, FrictionOptions, bristle_stiffness
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.leg import LARGEST_SIZE, Moderate
 
 MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.01  # [s] limited by rounding, and by the motion.

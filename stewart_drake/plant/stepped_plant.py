@@ -10,8 +10,7 @@ from stewart_drake.base.errors import drake_guard
 from stewart_drake.plant.base_forces import base_forces
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import DrakeOptions, foreign_state
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 
 
 class SteppedPlant:

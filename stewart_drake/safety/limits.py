@@ -16,8 +16,7 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import copy_to, set_to
 from stewart_drake.mechanics.singularities import WEIGHT_TRUSTED, PoseMeasures, crank_speeds, measure_pose
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity, base_reading
+from stewart_drake.robot import Gravity, RobotParameters, base_reading
 from stewart_drake.safety.options import (
     CRANK_SPEED,
     FOLLOWING,

@@ -94,12 +94,9 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
     logged["torque_applied"] = "motor_torque"
     if side.safety is not None:
         logged["safety"] = "safety"
-    return Loop(
-        (*sensors, *_base_sensor(scenario), *side.parts, *way, *side.at_end),
-        (*side.sources, *outside),
-        "motor_torque",
-        logged,
-    )
+    of_base = scenario.base.sensor_parts(scenario.gravity_in_base, side.context.period, scenario.plant.time_step)
+    parts = *sensors, *of_base, *side.parts, *way, *side.at_end
+    return Loop(parts, (*side.sources, *outside), "motor_torque", logged)
 
 
 def machine_side(scenario: Scenario) -> Loop:
@@ -125,14 +122,6 @@ def _outside(scenario: Scenario) -> tuple[Source, ...]:
         sources.append(Source("base", 9, lambda times: base_signal(motion, gravity, times + half)[:, :9]))
         sources.append(Source("base_motion", 12, lambda times: base_signal(motion, gravity, times)))
     return tuple(sources)
-
-
-def _base_sensor(scenario: Scenario) -> list[Part]:
-    base = scenario.base
-    if base.sensor is None or base.motion is None:
-        return []
-    first = base_signal(base.motion, scenario.gravity_in_base, np.zeros(1))[0]
-    return base.sensor.parts(scenario.controller.period, scenario.plant.time_step, first)
 
 
 def sensor_parts(scenario: Scenario) -> list[Part]:
@@ -371,8 +360,7 @@ def _references(options: ControlOptions) -> tuple[tuple[Source, ...], list[Part]
     ahead = Source(f"{prefix}reference_ahead", 18, lambda times: motion(times + preview))
     sources = (now, ahead) if preview > 0.0 else (now,)
     leads = zip(sources, (0.0, preview), strict=False)
-    parts = [level_part(source.signal, source.signal.removeprefix(prefix), lead) for source, lead in leads]
-    return sources, parts if level else []
+    return sources, [level_part(s.signal, s.signal.removeprefix(prefix), lead) for s, lead in leads if level]
 
 
 def _reporting(part: Part, health: str, safety: SafetyOptions | None) -> Part:

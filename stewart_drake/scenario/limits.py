@@ -28,8 +28,7 @@ from stewart_drake.mechanics.kinematics import over_rows
 from stewart_drake.mechanics.kinematics_laws import LEGS, Legs, Robot, cross, dot, robot_record, turned
 from stewart_drake.mechanics.linear_algebra import set_to
 from stewart_drake.mechanics.singularities import PLANNED, PoseMeasures, measure_pose
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity, base_reading
+from stewart_drake.robot import Gravity, RobotParameters, base_reading
 from stewart_drake.robot.leg import JOINT_SWING
 from stewart_drake.robot.robot_scale import LENGTH
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from stewart_drake.base.config import to_plain
 from stewart_drake.references import AdjustedReference, HoldReference, Reference, SumReference, center_of
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, PAPER
 from stewart_drake.runs.checks import adjusted, fit_amplitude
 from stewart_drake.scenario.limits import ReferenceLimits

@@ -23,8 +23,7 @@ from stewart_drake.control.network import HIDDEN, INPUTS, OUTPUTS, TunerNetwork
 from stewart_drake.control.tuners import FixedTuner
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.references import SineBurstsReference
-from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import Gravity
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.scenario.limits import ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.runs import simulate
