@@ -20,6 +20,8 @@ class TaskDynamics:
     inertia: np.ndarray
     bias: np.ndarray
     input_map: np.ndarray
+    # (nv, 6) velocities of the tree by the twist
+    basis: np.ndarray
 
     def acceleration(self, torque):
         return np.linalg.solve(self.inertia, self.input_map @ torque - self.bias)
@@ -44,6 +46,7 @@ def task_dynamics(stewart, context):
         inertia=basis.T @ inertia @ basis,
         bias=basis.T @ (load + inertia @ curvature),
         input_map=basis[index.crank_rate - nq].T,
+        basis=basis,
     )
 
 

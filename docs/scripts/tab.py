@@ -1,7 +1,8 @@
 """Builds docs/tab.html: robots with their controllers in a browser's tab, one file without server and network.
 
 Plant, motors, sensors and controller are printed as C, see docs/export.md, and compiled to WebAssembly by the clang of
-the Python package ziglang. The page is that of `live`; tab.js stands in for its server. `python docs/scripts/tab.py [FILE]`
+the Python package ziglang. The page is that of `live`; tab.js stands in for its server. `python docs/scripts/tab.py
+[FILE]`
 """
 
 from __future__ import annotations

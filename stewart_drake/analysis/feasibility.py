@@ -14,7 +14,7 @@ from stewart_drake.base.tables import AXES
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import reach_margin
 from stewart_drake.references import Reference
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.robot_scale import PAPER
 from stewart_drake.scenario.limits import PLACES, LimitMargin, ReferenceLimits, limit_bounds, limit_margins
 
@@ -55,7 +55,7 @@ def check_motion(
     pose: np.ndarray,
     pose_rate: np.ndarray,
     pose_acceleration: np.ndarray,
-    gravity: float,
+    gravity: Gravity,
 ) -> FeasibilityReport:
     """Margins to all limits along a motion: times (n,) [s], poses (n, 6), rates and accelerations; out of reach too."""
     for name, values in (("pose", pose), ("pose_rate", pose_rate), ("pose_acceleration", pose_acceleration)):
@@ -104,7 +104,7 @@ def check_reference(
     limits: ReferenceLimits,
     reference: Reference,
     duration: float,
-    gravity: float = STANDARD_GRAVITY,
+    gravity: Gravity = STANDARD_GRAVITY,
     samples_per_second: float = SAMPLES_PER_SECOND,
 ) -> FeasibilityReport:
     """`check_motion` of a reference from 0 to a duration [s] > 0, both ends included; gravity in [m/s^2].
@@ -124,7 +124,7 @@ def checked_times(duration: float, samples_per_second: float = SAMPLES_PER_SECON
 
 
 def largest_amplitude(
-    robot: RobotParameters, limits: ReferenceLimits, axis: int, frequency_hz: float, gravity: float
+    robot: RobotParameters, limits: ReferenceLimits, axis: int, frequency_hz: float, gravity: Gravity
 ) -> float:
     """Largest A [rad] or [m] for which home + a sin(2 pi f t) along one axis (0..5) is feasible for every a <= A.
 
@@ -154,7 +154,7 @@ def largest_amplitude(
 
 
 def amplitude_table(
-    robot: RobotParameters, limits: ReferenceLimits, frequencies: Iterable[float], gravity: float
+    robot: RobotParameters, limits: ReferenceLimits, frequencies: Iterable[float], gravity: Gravity
 ) -> np.ndarray:
     """`largest_amplitude` (n, 6) [rad, m] of every axis at every frequency [Hz]."""
     return np.array([[largest_amplitude(robot, limits, axis, f, gravity) for axis in range(6)] for f in frequencies])
@@ -165,7 +165,7 @@ def largest_scale(
     limits: ReferenceLimits,
     make_reference: Callable[[float], Reference],
     duration: float,
-    gravity: float,
+    gravity: Gravity,
 ) -> float:
     """Largest scale in [0, 1], to 1e-4, with all smaller ones of 16 steps feasible."""
     return largest_share(
@@ -225,7 +225,7 @@ def sample_poses(
     rng: np.random.Generator,
     least_margin: float = 1e-6,
     limits: ReferenceLimits | None = None,
-    gravity: float = STANDARD_GRAVITY,
+    gravity: Gravity = STANDARD_GRAVITY,
 ) -> np.ndarray:
     """Random poses (count, 6) in a box, in reach by `least_margin` and within `limits`; fewer if few are."""
     kept, drawn = np.empty((0, 6)), 0

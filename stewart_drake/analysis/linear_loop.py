@@ -24,7 +24,7 @@ from stewart_drake.mechanics.dynamics import forward_dynamics, pose_acceleration
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.mechanics.kinematics_laws import Robot
 from stewart_drake.mechanics.linear_algebra import DIFFERENCE_STEP, derivatives
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.scenario.assembly import control_side
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
@@ -52,7 +52,7 @@ def poses_to_stand_at(scenario: Scenario, count: int, seed: int) -> np.ndarray:
     """Random poses (count, 6) [rad, m] of the box `NEAR`, scaled to the robot, within the limits of the scenario."""
     robot, rng = scenario.robot, np.random.default_rng(seed)
     box = NEAR.around(robot)
-    return sample_poses(robot, box, count, rng, limits=scenario.limits, gravity=scenario.gravity)
+    return sample_poses(robot, box, count, rng, limits=scenario.limits, gravity=scenario.gravity_in_base)
 
 
 def linear_loops(
@@ -76,7 +76,7 @@ def linear_loops(
         changes["controller.dead_band"] = 0.0
     scenario = scenario.replace(changes)
     sensed = _sensed(scenario.controller_model.reading_size, scenario.robot, poses)
-    plants = plant_at(scenario.plant.loaded(scenario.robot), poses, scenario.gravity, period)
+    plants = plant_at(scenario.plant.loaded(scenario.robot), poses, scenario.gravity_in_base, period)
     active = None
     for k, pose in enumerate(poses):
         reading, by_state = (values[k] for values in sensed)
@@ -106,7 +106,7 @@ class PlantAt(NamedTuple):
     torque: np.ndarray
 
 
-def plant_at(robots: Robot, poses: np.ndarray, gravity: float, period: float) -> PlantAt:
+def plant_at(robots: Robot, poses: np.ndarray, gravity: Gravity, period: float) -> PlantAt:
     """Linear model of a robot with its payload at poses (m, 6), with zero-order hold of the torques over a period."""
     torque, whole = static_torque(robots, poses, gravity), np.zeros((len(poses), 18, 18))
     whole[:, :6, 6:12], whole[:, 6:12, 12:] = np.eye(6), pose_acceleration_map(robots, poses)
@@ -311,7 +311,7 @@ def linearize(scenario: Scenario | str | Path, pose: ArrayLike | None = None) ->
     check_value("pose", at, Vector6)
     period = scenario.controller.period
     loops = linear_loops(scenario, at[None])
-    robot = plant_at(scenario.plant.loaded(scenario.robot), at[None], scenario.gravity, period)
+    robot = plant_at(scenario.plant.loaded(scenario.robot), at[None], scenario.gravity_in_base, period)
     plant = StateSpace(robot.a[0], robot.b[0], np.eye(12), np.zeros((12, 6)), period)
     loop = StateSpace(loops.a[0], loops.b[0], loops.c[0], np.zeros((6, 6)), period)
     return Linearization(at, robot.torque[0], plant, loop)

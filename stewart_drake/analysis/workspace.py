@@ -17,7 +17,7 @@ from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import reach_margin, rotation_matrix
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.scenario.limits import ReferenceLimits, limit_bounds, measure_poses
 
 Kind = Literal["position", "orientation"]
@@ -202,7 +202,7 @@ class Survey:
         return np.stack([point.min(axis=0) - half, point.max(axis=0) + half])
 
 
-def survey(robot: RobotParameters, limits: ReferenceLimits, grid: Grid, gravity: float = STANDARD_GRAVITY) -> Survey:
+def survey(robot: RobotParameters, limits: ReferenceLimits, grid: Grid, gravity: Gravity = STANDARD_GRAVITY) -> Survey:
     """Measures and utilisation of every cell of a grid."""
     measures = measure_poses(robot, grid.poses, gravity)
     return Survey(grid, measures, utilisation(robot, limits, grid.poses, measures))
@@ -214,7 +214,7 @@ def distances_to_limits(
     start: np.ndarray,
     directions: np.ndarray,
     steps: np.ndarray,
-    gravity: float = STANDARD_GRAVITY,
+    gravity: Gravity = STANDARD_GRAVITY,
     most: float = 1.0,
     bisections: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -260,7 +260,7 @@ def boundary(
     kind: Kind,
     center: np.ndarray,
     directions: np.ndarray,
-    gravity: float = STANDARD_GRAVITY,
+    gravity: Gravity = STANDARD_GRAVITY,
 ) -> Boundary:
     """Distances from a centre (6,) to the first broken limit along unit vectors (m, 3): 64 steps, then bisection."""
     center = np.asarray(center, dtype=float)
@@ -275,7 +275,7 @@ def boundary(
 
 
 def slices(
-    robot: RobotParameters, limits: ReferenceLimits, gravity: float, region: Survey, pixels: int
+    robot: RobotParameters, limits: ReferenceLimits, gravity: Gravity, region: Survey, pixels: int
 ) -> list[Survey]:
     """Five slices across the third coordinate of a survey and one along it, through the region within the limits."""
     grid, middle = region.grid, region.grid.center[region.grid.coordinates]
@@ -302,7 +302,7 @@ def slices(
 def study_poses(
     robot: RobotParameters,
     limits: ReferenceLimits,
-    gravity: float,
+    gravity: Gravity,
     center: np.ndarray,
     samples: int,
     directions: int,

@@ -42,7 +42,8 @@ def robots() -> None:
     rows = []
     for name in robot_names():
         robot = load_robot(name)
-        size = f"{2e3 * robot.base_radius:.0f} mm across, {1e3 * (robot.home_height - robot.base_height):.0f} mm high"
+        high = abs(robot.home_height - robot.base_height)
+        size = f"{2e3 * robot.base_radius:.0f} mm across, {1e3 * high:.0f} mm high"
         rows.append((name, robot_about(name), size, f"{robot.platform_mass:.3g} kg"))
     print_table("robots", rows, ("robot", "what it is", "size", "platform"), numbers=())
 
@@ -176,7 +177,7 @@ def write_mjcf(scenario: Scenario) -> str:
     """
     from stewart_drake.plant.model_files import mjcf_text
 
-    return mjcf_text(scenario.robot, scenario.gravity, scenario.plant, joint_swing=scenario.limits.joint_swing)
+    return mjcf_text(scenario.robot, scenario.gravity_in_base, scenario.plant, joint_swing=scenario.limits.joint_swing)
 
 
 @command(
@@ -358,8 +359,10 @@ def excite(
     room = ROOM if motors is None else SERVO_ROOM
     with prepared_file(out):
         with progress_bar("designing", float(MOTIONS), unit="motions") as advance:
-            result = design(guess, scenario.limits, hold, gravity=scenario.gravity, room=room, progress=advance)
-        check_reference(guess, scenario.limits, result.reference, duration, scenario.gravity).raise_if_infeasible()
+            result = design(guess, scenario.limits, hold, gravity=scenario.gravity_in_base, room=room, progress=advance)
+        check_reference(
+            guess, scenario.limits, result.reference, duration, scenario.gravity_in_base
+        ).raise_if_infeasible()
         designed = scenario.replace({"name": "excitation", "reference": result.reference.to_dict()})
         write_text(out, to_yaml(designed.to_dict()))
     rows = [

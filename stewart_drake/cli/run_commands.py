@@ -254,7 +254,7 @@ def _feasible_changes(loaded: Scenario, scale: bool, retime: bool) -> dict[str, 
     """Keys that make the motion of a scenario feasible, smaller or slower; prints the factor."""
     from stewart_drake.runs.checks import fit_amplitude, fit_speed
 
-    motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity)
+    motion = (loaded.robot, loaded.limits, loaded.reference, loaded.duration, loaded.gravity_in_base)
     changes: dict[str, object] = {}
     if scale:
         try:
@@ -393,7 +393,7 @@ def workspace(out: Path, samples: int, scenario: str, overrides: tuple[str, ...]
         # A workspace needs no motion.
         print_error(f"the scenario's motion is left out: {error}")
     figures = prepare_folder(out / "figures", out)
-    setup = base.robot, base.limits, base.gravity
+    setup = base.robot, base.limits, base.gravity_in_base
     with progress_bar("workspace", 100.0, unit="%") as advance:
         numbers, surveys = study_poses(
             *setup, base.robot.home_pose, samples, 20_000, lambda share: advance(60.0 * share)

@@ -37,7 +37,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import Legs, robot_record
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import RobotParameters, base_reading
 
 if TYPE_CHECKING:
     from stewart_drake.scenario.control_options import Model
@@ -274,7 +274,7 @@ def _params(options: RegressionOptions, context: LoopContext, correlation_time: 
     friction, per = context.friction.record(), np.array([1.0, block, block**2])[:, None]
     servo_damping = getattr(motors, "damping", 0.0)
     return RegressionParams.sized(shared=len(shared_sigma)).new(
-        gravity=context.gravity,
+        base=base_reading(context.gravity),
         stride=stride,
         kernel=kernel_weights(width) / per,
         late=late_weights(width, late) / per,

@@ -304,14 +304,14 @@ def _needed_torques(
     motion, other, torques = sample.motion, sample.other_torque[:], sample.wrench_torque[:]
     twist, twist_rate, wrench, lines = np.empty(6), np.empty(6), np.empty(6), np.empty((6, 6))
     twists_of_motion(motion[:6], motion[6:], sample.acceleration[:], twist, twist_rate)
-    if not inverse_dynamics(rest, legs, twist, twist_rate, params.gravity, other):
+    if not inverse_dynamics(rest, legs, twist, twist_rate, params.base[:], other):
         return False
-    platform_load(robot, legs.rotation[:], twist, twist_rate, params.gravity, wrench)
+    platform_load(robot, legs.rotation[:], twist, twist_rate, params.base[:], wrench)
     for k in range(6):
         torques[k, WEIGHT] = wrench[k]
     for n in range(N_MOMENT):
         _unit_moment(sample.unit_head, n)
-        platform_load(sample.unit_head, legs.rotation[:], twist, twist_rate, params.gravity, wrench)
+        platform_load(sample.unit_head, legs.rotation[:], twist, twist_rate, params.base[:], wrench)
         for k in range(6):
             torques[k, MOMENT + n] = wrench[k]
     for n in range(SIDE_PUSH, N_WRENCH):

@@ -8,7 +8,7 @@ import numpy as np
 
 from stewart_drake.base.config import NotNegative, Period, Positive
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import TickResult, Vec6, Vec12, Vec18, record
+from stewart_drake.base.records import TickResult, Vec6, Vec9, Vec12, Vec18, record
 from stewart_drake.control.base import (
     AT_REFERENCE,
     DERIVATIVE,
@@ -37,6 +37,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     robot_record,
     twist_of,
 )
+from stewart_drake.robot.gravity import base_reading
 
 # --- PID of the cranks -----------------------------------------------------------------------------------------------
 
@@ -90,7 +91,7 @@ class PidOptions(ControllerOptions):
         params = PidParams.new(
             self,
             **{name: scale * getattr(self, name) for name in ("kp", "ki", "kd")},
-            gravity=context.gravity,
+            base=base_reading(context.gravity),
             feedforward=("none", "gravity", "motion").index(self.feedforward),
             by_robot=by_robot,
             by_difference=self.derivative == "difference",
@@ -126,7 +127,7 @@ class PidState(ControllerState):
 class PidParams(Saturation):
     """Parameters of the PID: numbers of `PidOptions`, gains over the inertia of heave with `inertia: robot`."""
 
-    gravity: float  # [m/s^2]
+    base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     kp: float  # [N m/rad], [1/s^2] with `inertia: robot`; ki and kd likewise.
     ki: float  # [N m/(rad s)]
     kd: float  # [N m s/rad]
@@ -166,13 +167,13 @@ def pid_tick(
     if status != OK:
         return status, leg, margin
     wanted, twist, rates, target_rates = np.zeros(6), np.empty(6), np.empty(6), np.empty(6)
-    if params.feedforward == GRAVITY and not static_torque(robot, legs, params.gravity, wanted):
+    if params.feedforward == GRAVITY and not static_torque(robot, legs, params.base[:], wanted):
         return PARALLEL, -1, margin
     if params.feedforward == MOTION:
         bad = legs_at(robot, reference[:6], target)
         if bad >= 0:
             return AT_REFERENCE + UNREACHABLE, bad, target.reach_margin[bad]
-        if not motion_torque(robot, target, reference[:12], reference[12:], params.gravity, wanted):
+        if not motion_torque(robot, target, reference[:12], reference[12:], params.base[:], wanted):
             return AT_REFERENCE + PARALLEL, -1, 0.0
     bad = legs_at(robot, reference_now[:6], target)
     if bad >= 0:
@@ -252,7 +253,7 @@ class ComputedTorqueOptions(ControllerOptions):
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         params = ComputedTorqueParams.new(
-            self, gravity=context.gravity, **saturation_params(self.saturation, context.robot)
+            self, base=base_reading(context.gravity), **saturation_params(self.saturation, context.robot)
         )
         return (controller_part(computed_torque_tick, context.robot, params, ComputedTorqueState, Legs),)
 
@@ -266,7 +267,7 @@ class ComputedTorqueState(ControllerState):
 class ComputedTorqueParams(Saturation):
     """Parameters of computed torque: numbers of `ComputedTorqueOptions`."""
 
-    gravity: float  # [m/s^2]
+    base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     natural_frequency: float  # [rad/s]
     damping: float
     integral_frequency: float  # [rad/s]
@@ -295,6 +296,6 @@ def computed_torque_tick(
         stiff = omega * omega * (error[k] + params.integral_frequency * state.integral[k])
         damped = 2.0 * params.damping * omega * (measurement[6 + k] - reference[6 + k])
         acceleration[k] = reference[12 + k] - damped - stiff
-    if not motion_torque(robot, legs, measurement, acceleration, params.gravity, wanted):
+    if not motion_torque(robot, legs, measurement, acceleration, params.base[:], wanted):
         return PARALLEL, -1, 0.0
     return limit_and_integrate(params, wanted, error, False, state.torque[:], state.integral[:])

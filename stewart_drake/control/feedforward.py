@@ -8,11 +8,12 @@ import numpy as np
 
 from stewart_drake.base.config import Period
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Record, TickResult, Vec1, Vec6, Vec12, Vec18, record
+from stewart_drake.base.records import Record, TickResult, Vec1, Vec6, Vec9, Vec12, Vec18, record
 from stewart_drake.control.base import AT_REFERENCE, ControllerOptions, ControllerState, controller_part
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.dynamics_laws import motion_torque, static_torque
 from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, UNREACHABLE, Legs, Robot, legs_at
+from stewart_drake.robot.gravity import base_reading
 
 
 class FeedforwardOptions(ControllerOptions):
@@ -31,7 +32,7 @@ class FeedforwardOptions(ControllerOptions):
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
         level = {"none": 0.0, "gravity": 1.0, "full": 2.0}[self.feedforward]
-        params = FeedforwardParams.new(gravity=context.gravity, level=level)
+        params = FeedforwardParams.new(base=base_reading(context.gravity), level=level)
         return (controller_part(feedforward_tick, context.robot, params, ControllerState, Legs),)
 
 
@@ -75,7 +76,7 @@ def lead_tick(command_lead: Vec1, params: LeadParams, reference: Vec18, state: L
 class FeedforwardParams(Record):
     """Parameters of the feedforward."""
 
-    gravity: float  # [m/s^2]
+    base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     level: float  # 0 for no torque, 1 for the static one, 2 for inverse dynamics.
 
 
@@ -93,9 +94,9 @@ def feedforward_tick(
         return AT_REFERENCE + UNREACHABLE, bad, legs.reach_margin[bad]
     torque, done = np.zeros(6), True
     if params.level == 1.0:
-        done = static_torque(robot, legs, params.gravity, torque)
+        done = static_torque(robot, legs, params.base[:], torque)
     elif params.level == 2.0:
-        done = motion_torque(robot, legs, reference[:12], reference[12:], params.gravity, torque)
+        done = motion_torque(robot, legs, reference[:12], reference[12:], params.base[:], torque)
     if not done:
         return AT_REFERENCE + PARALLEL, -1, 0.0
     for i in range(6):

@@ -16,10 +16,10 @@ from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.friction import Friction, FrictionOptions, dry_level
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot, crank_rates, legs_at, robot_record, twist_of
 from stewart_drake.mechanics.linear_algebra import all_finite, set_to
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 
 
-def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: float) -> np.ndarray:
+def standing_torque(robot: RobotParameters, pose: np.ndarray, gravity: Gravity) -> np.ndarray:
     """Torques (6,) [N m] that hold the controller's model at a pose; zeros where it cannot be held."""
     # Such a pose makes the first tick fail, which writes a log.
     with contextlib.suppress(UnreachablePoseError, np.linalg.LinAlgError):

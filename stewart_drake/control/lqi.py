@@ -18,6 +18,7 @@ from stewart_drake.base.records import (
     TickResult,
     Vec4,
     Vec6,
+    Vec9,
     Vec12,
     Vec18,
     Vector,
@@ -42,7 +43,7 @@ from stewart_drake.mechanics.dynamics import ForceMapKind
 from stewart_drake.mechanics.dynamics_laws import motion_torque, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import all_finite, any_nonzero, copy_to, set_to, solve
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters, base_reading
 from stewart_drake.robot.leg import LARGEST_SIZE
 from stewart_drake.robot.robot_scale import CHARACTERISTIC_LENGTH
 
@@ -121,7 +122,7 @@ class LqiState(ControllerState):
 class LqiParams(Saturation):
     """Parameters of the LQI: numbers of `LqiOptions`."""
 
-    gravity: float  # [m/s^2]
+    base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     length: float  # [m] `weight_length`.
     integral_limit: Vec6  # [rad s, m s] infinite for none.
     exact_model: float  # 1 for the exact model, 0 for the paper's.
@@ -287,14 +288,14 @@ def _feedforward(
         bad = laws.legs_at(robot, reference[:6], legs)
         if bad >= 0:
             return AT_REFERENCE + laws.UNREACHABLE, bad, legs.reach_margin[bad]
-        if not motion_torque(robot, legs, reference[:12], reference[12:], params.gravity, force):
+        if not motion_torque(robot, legs, reference[:12], reference[12:], params.base[:], force):
             return AT_REFERENCE + laws.PARALLEL, -1, 0.0
         return laws.OK, -1, 0.0
     done = True
     if params.feedforward == FULL:
-        done = motion_torque(robot, legs, measurement, reference[12:], params.gravity, force)
-    elif params.feedforward != NONE and params.gravity != 0.0:
-        done = static_torque(robot, legs, params.gravity, force)
+        done = motion_torque(robot, legs, measurement, reference[12:], params.base[:], force)
+    elif params.feedforward != NONE and any_nonzero(params.base[:]):
+        done = static_torque(robot, legs, params.base[:], force)
     if done and params.feedforward == PLATFORM:
         # M q''_d of (9) through the force map.
         paper_map, torque = np.empty((6, 6)), np.empty((6, 1))
@@ -395,7 +396,7 @@ _STATUSES = STATUSES | {
 
 
 def lqi_part(
-    options: LqiOptions, robot: RobotParameters, gravity: float, weights: int, solver: RiccatiSolver | None = None
+    options: LqiOptions, robot: RobotParameters, gravity: Gravity, weights: int, solver: RiccatiSolver | None = None
 ) -> Part:
     """The LQI as a part of a loop, for the controller's model, gravity [m/s^2], and a port of 2 or 4 weights.
 
@@ -403,7 +404,7 @@ def lqi_part(
     """
     params = LqiParams.new(
         options,
-        gravity=gravity,
+        base=base_reading(gravity),
         integral_limit=np.inf if options.integral_limit is None else np.repeat(options.integral_limit, 3),
         exact_model=options.model == "exact",
         printed_map=options.force_map == "printed",

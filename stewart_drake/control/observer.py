@@ -28,7 +28,7 @@ from pydantic import Field
 from stewart_drake.base.config import Natural, Positive
 from stewart_drake.base.errors import ConfigurationError, Status
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Record, TickResult, Vec1, Vec2, Vec6, Vec12, Vec18, Vector, record
+from stewart_drake.base.records import Record, TickResult, Vec1, Vec2, Vec6, Vec9, Vec12, Vec18, Vector, record
 from stewart_drake.control import estimator
 from stewart_drake.control.estimator import (
     DifferenceOptions,
@@ -46,6 +46,7 @@ from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics import pose_jacobian
 from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, SERIAL, UNREACHABLE, Legs, Robot, dot, legs_at
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, set_to, solve, spectral_factor
+from stewart_drake.robot.gravity import base_reading
 
 SMALLEST_NOISE = 1e-5  # [rad] least noise of readings in the observer: no model is more accurate.
 # A crank has arrived if its error is below the larger of two bounds:
@@ -102,7 +103,7 @@ class ObserverParams(Record):
     """Parameters of the observer."""
 
     period: float  # [s]
-    gravity: float  # [m/s^2]
+    base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     noise: float  # [rad] standard deviation of a reading.
     max_innovation: float  # [rad] innovation above which a reading is rejected.
     hold_ticks: float  # [ticks] in a row without a reading after which the run ends.
@@ -171,7 +172,7 @@ def predict(
     bad = legs_at(robot, pose, legs)
     if bad >= 0:
         return SERIAL, bad, legs.reach_margin[bad]
-    if not forward_dynamics(robot, legs, pose, rate, torque, disturbance, params.gravity, acceleration):
+    if not forward_dynamics(robot, legs, pose, rate, torque, disturbance, params.base[:], acceleration):
         return PARALLEL, -1, 0.0
     for k in range(6):
         pose[k] += h * (rate[k] + 0.5 * h * acceleration[k])
@@ -416,7 +417,7 @@ def observer_part(options: ObserverOptions, context: LoopContext) -> Part:
     params = ObserverParams.new(
         options,
         period=period,
-        gravity=context.gravity,
+        base=base_reading(context.gravity),
         noise=context.noise,
         mobility=mobility.max(),
         age=age,

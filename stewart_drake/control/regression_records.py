@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Record, Vec3, Vec6, Vec12
+from stewart_drake.base.records import Record, Vec3, Vec6, Vec9, Vec12
 from stewart_drake.control.ball_joints import Joints
 from stewart_drake.control.square_root_filter import N_JOINT, N_MOMENT, N_MOTOR, N_SHARED, PerMotor
 from stewart_drake.mechanics.friction import Friction
@@ -52,7 +52,7 @@ class LearntJoints(Record):
 class RegressionParams(Record):
     """Parameters of the regression; its size is that of the shared unknowns."""
 
-    gravity: float  # [m/s^2]
+    base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     stride: float  # Ticks in a block.
     kernel: Annotated[np.ndarray, (3, KERNEL)]  # Weights of smoothed value, rate and acceleration.
     late: Annotated[np.ndarray, (3, ROWS)]  # The same for commands, which act later than readings.

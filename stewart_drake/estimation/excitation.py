@@ -16,7 +16,7 @@ from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.estimation.torques import free_directions, samples_of_motion, scales, values_of
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.references.motions import AdjustedReference, SineReference, SumReference
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.scenario.limits import ReferenceLimits, limit_margins
 
 HARMONICS = (2, 3, 5, 8, 13, 21, 31)
@@ -44,7 +44,7 @@ def excite(
     robot: RobotParameters,
     limits: ReferenceLimits | None = None,
     hold: Collection[str] = (),
-    gravity: float = STANDARD_GRAVITY,
+    gravity: Gravity = STANDARD_GRAVITY,
     seed: int = 0,
     changes: int = _CHANGES,
     room: float = ROOM,

@@ -34,7 +34,7 @@ from stewart_drake.loop.part import BoundPart
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.plant.closed_form import ClosedFormOptions
 from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 from stewart_drake.scenario.assembly import context_of
 from stewart_drake.scenario.control_options import ControlOptions
@@ -90,7 +90,7 @@ class ServoRecording(CrankReadings):
     time: np.ndarray
     angles: np.ndarray
     commands: np.ndarray
-    gravity: float = STANDARD_GRAVITY
+    gravity: Gravity = STANDARD_GRAVITY
     source: str = "recording"
 
     quantities: ClassVar = QUANTITIES
@@ -390,7 +390,7 @@ def load_servo_recording(log: AnyLog) -> ServoRecording:
     if (motors := log.scenario.motors).command_quantity != "angle":
         raise ConfigurationError(source, f"motors.kind {motors.kind}", "a log of motors that take angles")
     rows, angles = torques.readings_of_log(log, source)
-    return ServoRecording(log.time[rows], angles, log["commanded_angle"][rows], log.scenario.gravity, source)
+    return ServoRecording(log.time[rows], angles, log["commanded_angle"][rows], log.scenario.gravity_in_base, source)
 
 
 def take_angles(logs: Iterable[str | Path]) -> bool:

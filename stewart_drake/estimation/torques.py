@@ -29,7 +29,7 @@ from stewart_drake.logs.log import SimulationLog, load_log
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY, inverse_dynamics
 from stewart_drake.mechanics.kinematics import crank_rates, forward_kinematics, inverse_kinematics, leg_geometry
 from stewart_drake.mechanics.kinematics_laws import Robot, robot_record
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
 _MOTORS = tuple(f"motor {leg}" for leg in range(LEG_COUNT))
@@ -143,7 +143,7 @@ class CrankReadings(Readings):
     largest: ClassVar = (300_000_000, 1_000_000)
     time: np.ndarray
     angles: np.ndarray
-    gravity: float
+    gravity: Gravity
 
     def _fill(self) -> None:
         """Interpolates rows where a machine has lost some ticks; commands keep their last value."""
@@ -205,7 +205,7 @@ class Recording(CrankReadings):
     angles: np.ndarray
     torque: np.ndarray
     lag: float = 0.0
-    gravity: float = STANDARD_GRAVITY
+    gravity: Gravity = STANDARD_GRAVITY
     source: str = "recording"
 
     quantities: ClassVar = QUANTITIES
@@ -235,11 +235,12 @@ def recording_of_log(log: SimulationLog, source: str = "log") -> Recording:
     rows, angles = readings_of_log(log, source)
     # A torque acts until the next tick. In a step of the plant, the acceleration is half a step ahead of its torque.
     lag = 0.5 * (log.scenario.controller.period - log.scenario.plant.time_step)
-    return Recording(log.time[rows], angles, log["torque_applied"][rows], lag, log.scenario.gravity, source)
+    return Recording(log.time[rows], angles, log["torque_applied"][rows], lag, log.scenario.gravity_in_base, source)
 
 
 def readings_of_log(log: SimulationLog, source: str) -> tuple[slice, np.ndarray]:
     """Rows of a log that are ticks, and the angles (n, 6) [rad] that were read there."""
+    log.scenario.base.refuse_motion("an identification: it takes the base for one at rest")
     if "reading" not in log:
         allowed = "a log with the angles that were read, the signal reading; run with sensors=encoders"
         raise ConfigurationError(source, f"sensors.kind {log.scenario.sensors.kind}", allowed)
@@ -326,7 +327,7 @@ def samples_of_motion(
     guess: RobotParameters,
     time: np.ndarray,
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
-    gravity: float,
+    gravity: Gravity,
     source: str = "motion",
 ) -> Samples:
     """Equations of an exact motion, without torques; calls inverse dynamics once for every body parameter."""

@@ -37,7 +37,7 @@ Fmi = Literal[2, 3]
 
 def plant_part(scenario: Scenario) -> Part:
     """The closed form of a scenario's robot as a part at the end of a tick, from the start of the scenario on."""
-    plant = ClosedForm(scenario.robot, scenario.plant, scenario.gravity)  # type: ignore[arg-type]
+    plant = ClosedForm(scenario.robot, scenario.plant, scenario.gravity_in_base)  # type: ignore[arg-type]
     plant.initial(*scenario.start())
     numbers = dict(zip(("robot", "friction", "params"), plant._fixed, strict=True))
     statuses, inputs = {SERIAL: Status("crank_dead_centre", of_leg=True)}, {"motor_torque": 6, "wrench": 6}
@@ -71,7 +71,8 @@ def controller_unit(options: ControlOptions, name: str, fmi: Fmi = 3) -> bytes:
 
 def robot_unit(scenario: Scenario, name: str, fmi: Fmi = 3) -> bytes:
     """The robot with its motors as an FMU: inputs `command`, `wrench`, output `measured`."""
-    prefix, plant = f"{c_name(name)}_robot", ClosedForm(scenario.robot, scenario.plant, scenario.gravity)  # type: ignore[arg-type]
+    scenario.base.refuse_motion("the FMU of a robot")
+    prefix, plant = f"{c_name(name)}_robot", ClosedForm(scenario.robot, scenario.plant, scenario.gravity_in_base)  # type: ignore[arg-type]
     command = scenario.motors.initial_command(context_of(scenario, split=True))
     inputs, outputs = {"command": command, "wrench": np.zeros(6)}, {"measured": plant.initial(*scenario.start())}
     arguments, files = "u->command, u->wrench, u->measured", robot_files(scenario, prefix)

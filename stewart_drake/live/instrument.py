@@ -23,7 +23,7 @@ from stewart_drake.logs.rows import Rows, row_layout
 from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 from stewart_drake.mechanics.dynamics import static_torque
 from stewart_drake.mechanics.kinematics import pose_jacobian, rotation_matrix
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.scenario.scenario import Scenario
 
 _PULL_LENGTH = 0.15  # [characteristic lengths] stretch of a spring at its largest force.
@@ -157,13 +157,13 @@ def _spring_force(stretch: np.ndarray, length: float, largest: float) -> np.ndar
     return np.asarray(stretch * (largest / length) * min(1.0, length / size if size else 1.0))
 
 
-def spring(robot: RobotParameters, gravity: float, point: np.ndarray, place: np.ndarray) -> Spring:
+def spring(robot: RobotParameters, gravity: Gravity, point: np.ndarray, place: np.ndarray) -> Spring:
     """A spring to pull with that does not trip the safety layer."""
     force = _FORCE_SHARE * largest(robot, gravity, FORCE)
     return Spring(point, place, force, _PULL_LENGTH * robot.characteristic_length)
 
 
-def turning_spring(robot: RobotParameters, gravity: float, held: np.ndarray, turn: np.ndarray) -> TurningSpring:
+def turning_spring(robot: RobotParameters, gravity: Gravity, held: np.ndarray, turn: np.ndarray) -> TurningSpring:
     """A spring that turns by a rotation vector (3,) [rad] in B."""
     target = Rotation.from_rotvec(turn).as_matrix() @ held
     return TurningSpring(held, target, _FORCE_SHARE * largest(robot, gravity, MOMENT))
@@ -172,7 +172,7 @@ def turning_spring(robot: RobotParameters, gravity: float, held: np.ndarray, tur
 MOMENT, FORCE = slice(0, 3), slice(3, 6)  # Of a wrench.
 
 
-def largest(robot: RobotParameters, gravity: float, axes: slice) -> float:
+def largest(robot: RobotParameters, gravity: Gravity, axes: slice) -> float:
     """Half of what the motors can bear at home along the strongest axis: `MOMENT` [N m] or `FORCE` [N], two digits."""
     holds = static_torque(robot, robot.home_pose, gravity)
     per_unit = np.linalg.inv(pose_jacobian(robot, robot.home_pose)).T[:, axes]

@@ -209,4 +209,4 @@ class LiveLoop:
 
 def _plant_keys(scenario: Scenario) -> tuple[object, ...]:
     """Keys on which the plant depends."""
-    return scenario.robot, scenario.plant, scenario.gravity
+    return scenario.robot, scenario.plant, scenario.gravity_in_base

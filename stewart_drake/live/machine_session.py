@@ -95,7 +95,7 @@ class MachineSession(PageSession):
             if not still and now - reference.begun > scenario.duration - 2.0 * RAMP:
                 raise ConfigurationError("motion", "on", "off until it has slowed down; ask again in some seconds")
             # The motion may be infeasible about the present pose.
-            setup = scenario.robot, scenario.limits, self.home, reference.goal, scenario.gravity
+            setup = scenario.robot, scenario.limits, self.home, reference.goal, scenario.gravity_in_base
             if limit := nearest_allowed(*setup, reference.excursions(scenario.duration, on=True)).limit:
                 raise ConfigurationError("motion", "on", f"off here: {limit}")
             reference.begun = now if still else reference.begun

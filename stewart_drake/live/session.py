@@ -186,13 +186,13 @@ class LiveSession(PageSession):
     def _pull(self, command: Command) -> None:
         """Pulls `point` (3,) [m] of the platform, in P, towards `place` (3,) [m] in B."""
         point, place = (_numbers(command[name], 3) for name in ("point", "place"))
-        self._hold(spring(self.loop.scenario.robot, self.loop.scenario.gravity, point, place))
+        self._hold(spring(self.loop.scenario.robot, self.loop.scenario.gravity_in_base, point, place))
 
     def _turn(self, command: Command) -> None:
         """Turns by `turn` (3,) [rad], a rotation vector in B, from the orientation at the start of the pull."""
         scenario, before = self.loop.scenario, self.loop.spring
         held = before.held if isinstance(before, TurningSpring) else rotation_matrix(self.loop.pose[:3])
-        self._hold(turning_spring(scenario.robot, scenario.gravity, held, _numbers(command["turn"], 3)))
+        self._hold(turning_spring(scenario.robot, scenario.gravity_in_base, held, _numbers(command["turn"], 3)))
 
     def _hold(self, by: Spring | TurningSpring) -> None:
         self._touch()

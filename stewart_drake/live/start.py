@@ -47,7 +47,7 @@ def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> Pa
         "payload_most": max(float(f"{0.5 * robot.platform_mass:.1g}"), scenario.plant.payload_mass),
         "test_sizes": [0.01] * 3 + [0.01 * robot.characteristic_length] * 3,
         "effort_limits": robot.effort_limits.tolist(),
-        "force_most": largest(robot, scenario.gravity, FORCE),
+        "force_most": largest(robot, scenario.gravity_in_base, FORCE),
         "encoders": scenario.sensors.reading == "angles",
         "may_fail": "dead" in scenario.motors.to_dict(),
         "controllers": list(CONTROLLERS),
@@ -71,7 +71,7 @@ def _room(scenario: Scenario, home: np.ndarray) -> np.ndarray:
         for sign in (1.0, -1.0):
             target = home.copy()
             target[axis] += sign * REACH[axis]
-            setup = scenario.robot, scenario.limits, home, target, scenario.gravity
+            setup = scenario.robot, scenario.limits, home, target, scenario.gravity_in_base
             reached = nearest_allowed(*setup, np.zeros((1, 6))).pose
             room[axis] = max(room[axis], abs(reached[axis] - home[axis]))
     return room

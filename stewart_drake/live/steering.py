@@ -10,7 +10,7 @@ import numpy as np
 from stewart_drake.analysis.feasibility import checked_times
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.references.motions import Reference
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.scenario.limits import PLACES, ReferenceLimits, limit_margins
 from stewart_drake.scenario.scenario import Scenario
 
@@ -84,7 +84,7 @@ class HandReference:
             allowed = f"a pose within {REACH[0]:g} rad and {REACH[3]:g} m of {self.home.round(4).tolist()}"
             raise ConfigurationError("pose", pose.tolist(), allowed)
         around = self.excursions(scenario.duration)
-        return nearest_allowed(scenario.robot, scenario.limits, self.goal, pose, scenario.gravity, around)
+        return nearest_allowed(scenario.robot, scenario.limits, self.goal, pose, scenario.gravity_in_base, around)
 
     def govern(self, scenario: Scenario, time: float) -> None:
         """Moves the filter's target as far towards `goal` as limits and `CRANK_SPEED` allow; time [s] as `at`.
@@ -99,7 +99,10 @@ class HandReference:
         motion = self.at(time)[:6] - hand.state[0]
         for share in 0.5 ** np.arange(7):
             target = self.goal if share == 1.0 else before + share * (self.goal - before)
-            if _first_broken(scenario.robot, limits, hand.course(target), scenario.gravity, motion[None]) is None:
+            if (
+                _first_broken(scenario.robot, limits, hand.course(target), scenario.gravity_in_base, motion[None])
+                is None
+            ):
                 # One assignment: another thread reads it.
                 hand.target = target.copy()
                 return
@@ -155,7 +158,7 @@ def nearest_allowed(
     limits: ReferenceLimits,
     here: np.ndarray,
     target: np.ndarray,
-    gravity: float,
+    gravity: Gravity,
     around: np.ndarray,
 ) -> Reached:
     """The last pose on the straight path from `here` (6,) to `target` (6,) within the limits at rest.
@@ -188,7 +191,7 @@ def nearest_allowed(
 
 
 def _first_broken(
-    robot: RobotParameters, limits: ReferenceLimits, motion: np.ndarray, gravity: float, around: np.ndarray
+    robot: RobotParameters, limits: ReferenceLimits, motion: np.ndarray, gravity: Gravity, around: np.ndarray
 ) -> tuple[int, str] | None:
     """Index of the first row after row 0 that breaks a limit, and the limit; None if there is none.
 

@@ -50,6 +50,8 @@ _OUTSIDE = "decades of a tuner's setting above the base, and the distance of its
 _LEARNT = ("mass", "delay", *(f"{what}_{leg}" for what in ("drive", "viscous", "coulomb") for leg in LEG_NAMES))
 _LEARNT_UNITS = ("kg", "s", *("1",) * 6, *("N m s/rad",) * 6, *("N m",) * 6)
 _PLACE = (*"xyz", *(f"{axis}_half_width" for axis in "xyz"))
+_BASE = (*(f"{name}_{axis}" for name in ("force", "rate", "acceleration") for axis in "xyz"), "roll", "pitch", "yaw")
+_BASE_UNITS = ("m/s^2",) * 3 + ("rad/s",) * 3 + ("rad/s^2",) * 3 + ("rad",) * 3
 _WRENCH = ("mx", "my", "mz", "fx", "fy", "fz")
 _JOINTS = ("viscous", "dry", "viscous_half_width", "dry_half_width")
 SIGNALS: Mapping[str, Signal] = {
@@ -82,6 +84,9 @@ SIGNALS: Mapping[str, Signal] = {
     "pose_rate_reading": _axes("rad/s", "m/s", "rate of `pose_reading`", "pose_reading", RATE),
     "innovation": _legs("rad", "readings minus the observer's predictions"),
     "disturbance": Signal(_WRENCH, ("N m",) * 3 + ("N",) * 3, "external wrench on the platform"),
+    "base_motion": Signal(
+        _BASE, _BASE_UNITS, "motion of the base, as an inertial unit on it reads it, and its attitude"
+    ),
     "safety": _numbers(("level", "monitor", "leg"), "indices in safety.LEVELS and safety.MONITORS; leg or -1"),
     "learnt": Signal(_LEARNT, _LEARNT_UNITS, "learnt parameters of head and motors: see docs/adaptation.md"),
     "learnt_half_width": Signal(_LEARNT, _LEARNT_UNITS, "half widths of the 95 % intervals of `learnt`"),

@@ -19,7 +19,7 @@ from stewart_drake.base.jit import specialised
 from stewart_drake.base.keys import join_or
 from stewart_drake.base.records import Record, TickResult
 from stewart_drake.base.sampling import steps_per
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 
 if TYPE_CHECKING:
     from stewart_drake.control.friction_compensation import FrictionCompensation
@@ -126,7 +126,7 @@ class LoopContext(NamedTuple):
     """The rest of the loop, for the method `parts(context)` of estimators, controllers, tuners and adaptive laws."""
 
     robot: RobotParameters  # The controller's model.
-    gravity: float  # [m/s^2].
+    gravity: Gravity  # [m/s^2].
     period: float  # [s] of the ticks.
     pose: np.ndarray  # (6,) [rad, m] at the start.
     pose_rate: np.ndarray  # (6,) [rad/s, m/s] likewise.

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Matrix, record
+from stewart_drake.base.records import Matrix, Vec9, record
 from stewart_drake.mechanics import dynamics_laws as laws
 from stewart_drake.mechanics.kinematics import LegGeometry, RobotLike, at_poses, leg_geometry, rod_lines
 from stewart_drake.mechanics.kinematics_laws import LEGS, OK, PARALLEL, UNREACHABLE, Robot, legs_at
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters, base_reading
 
 STANDARD_GRAVITY = 9.81
 """[m/s^2] as in Drake's default field."""
@@ -26,7 +26,7 @@ _MOTION_TORQUE, _ACCELERATION, _BIAS, _INERTIA, _ACCELERATION_MAP = range(5)
 """Laws that `_rows` evaluates."""
 
 
-def static_torque(robot: RobotLike, pose: ArrayLike, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
+def static_torque(robot: RobotLike, pose: ArrayLike, gravity: Gravity = STANDARD_GRAVITY) -> np.ndarray:
     """Motor torques (..., 6) [N m] that hold platform, rods and cranks at rest at poses (..., 6) [rad, m]."""
     return inverse_dynamics(robot, pose, np.zeros(6), np.zeros(6), gravity)
 
@@ -36,7 +36,7 @@ def inverse_dynamics(
     pose: ArrayLike,
     pose_rate: ArrayLike,
     pose_acceleration: ArrayLike,
-    gravity: float = STANDARD_GRAVITY,
+    gravity: Gravity = STANDARD_GRAVITY,
 ) -> np.ndarray:
     """Motor torques of a motion, all bodies included.
 
@@ -45,7 +45,8 @@ def inverse_dynamics(
         pose: (..., 6) [rad, m].
         pose_rate: (..., 6) [rad/s, m/s] Euler rates and velocity.
         pose_acceleration: (..., 6) [rad/s^2, m/s^2] their time derivatives.
-        gravity: [m/s^2] along -z of B.
+        gravity: [m/s^2] along -z of B; or a vector (3,) in B; or (9,), what the inertial unit of a moving base
+            reads, see `robot.gravity.base_reading`.
 
     Returns:
         (..., 6) [N m].
@@ -63,7 +64,7 @@ def forward_dynamics(
     pose: ArrayLike,
     pose_rate: ArrayLike,
     torque: ArrayLike,
-    gravity: float = STANDARD_GRAVITY,
+    gravity: Gravity = STANDARD_GRAVITY,
 ) -> np.ndarray:
     """Second derivative (..., 6) [rad/s^2, m/s^2] of the pose under motor torques (..., 6) [N m].
 
@@ -73,7 +74,7 @@ def forward_dynamics(
     return _at_poses(_ACCELERATION, robot, motion, gravity)[..., 0, :]
 
 
-def task_bias(robot: RobotLike, pose: ArrayLike, twist: ArrayLike, gravity: float = STANDARD_GRAVITY) -> np.ndarray:
+def task_bias(robot: RobotLike, pose: ArrayLike, twist: ArrayLike, gravity: Gravity = STANDARD_GRAVITY) -> np.ndarray:
     """h(pose, twist) (..., 6) [N m, N]: Coriolis, centrifugal, gyroscopic and gravity terms in task coordinates."""
     return _at_poses(_BIAS, robot, {"pose": pose, "twist": twist}, gravity)[..., 0, :]
 
@@ -95,17 +96,15 @@ def pose_acceleration_map(robot: RobotLike, pose: ArrayLike) -> np.ndarray:
     return _at_poses(_ACCELERATION_MAP, robot, {"pose": pose})
 
 
-def _at_poses(law: int, robot: RobotLike, inputs: Mapping[str, ArrayLike], gravity: float = 0.0) -> np.ndarray:
+def _at_poses(law: int, robot: RobotLike, inputs: Mapping[str, ArrayLike], gravity: Gravity = 0.0) -> np.ndarray:
     """A law's matrices (..., 6, 6), or vectors as (..., 1, 6), of a pose and up to two vectors (..., 6)."""
     rows = 6 if law in (_INERTIA, _ACCELERATION_MAP) else 1
     unused = {f"unused {k}": np.zeros(6) for k in range(len(inputs), 3)}
-    return at_poses(_rows, robot, {**inputs, **unused}, (rows, 6), law, gravity)
+    return at_poses(_rows, robot, {**inputs, **unused}, (rows, 6), law, base_reading(gravity))
 
 
 @njit
-def _rows(
-    robot: Robot, law: float, gravity: float, poses: Matrix, vectors: Matrix, others: Matrix, out: np.ndarray
-) -> int:
+def _rows(robot: Robot, law: float, base: Vec9, poses: Matrix, vectors: Matrix, others: Matrix, out: np.ndarray) -> int:
     memory: Any = np.empty(1, LEGS)
     robot, motion, nothing = record(robot), np.empty(12), np.zeros(6)
     for n in range(len(poses)):
@@ -116,11 +115,11 @@ def _rows(
         if law == _MOTION_TORQUE:
             for k in range(6):
                 motion[k], motion[6 + k] = pose[k], vector[k]
-            done = laws.motion_torque(robot, legs, motion, others[n], gravity, out[n, 0])
+            done = laws.motion_torque(robot, legs, motion, others[n], base, out[n, 0])
         elif law == _ACCELERATION:
-            done = laws.forward_dynamics(robot, legs, pose, vector, others[n], nothing, gravity, out[n, 0])
+            done = laws.forward_dynamics(robot, legs, pose, vector, others[n], nothing, base, out[n, 0])
         elif law == _BIAS:
-            laws.task_bias(robot, legs, vector, gravity, out[n, 0])
+            laws.task_bias(robot, legs, vector, base, out[n, 0])
         elif law == _INERTIA:
             laws.task_inertia(robot, legs, out[n])
         else:
@@ -128,6 +127,26 @@ def _rows(
         if not done:
             return PARALLEL
     return OK
+
+
+def base_wrenches(
+    base: np.ndarray, mass: np.ndarray, place: np.ndarray, velocity: np.ndarray, rate: np.ndarray, inertia: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Moments and forces (n, 3) [N m, N] about their centres of mass that a moving base exerts on n free bodies.
+
+    Args:
+        base: (9,) reading of the base's inertial unit, see `robot.gravity.base_reading`.
+        mass: (n,) [kg].
+        place: (n, 3) [m] centres of mass in B.
+        velocity: (n, 3) [m/s] their velocities in B.
+        rate: (n, 3) [rad/s] angular velocities in B.
+        inertia: (n, 3, 3) [kg m^2] about the centres of mass, along the axes of B.
+    """
+    force, w, alpha = np.reshape(base, (3, 3))
+    acceleration = force + np.cross(alpha, place) + np.cross(w, np.cross(w, place) + 2.0 * velocity)
+    spin = alpha + np.cross(w, rate)
+    moment = np.einsum("nij,nj->ni", inertia, spin) + np.cross(w, np.einsum("nij,nj->ni", inertia, w + rate))
+    return -(moment + np.cross(rate, inertia @ w)), -mass[:, None] * acceleration
 
 
 # --- the paper's force map -------------------------------------------------------------------------------------------

@@ -2,8 +2,9 @@
 
 Model: platform of Table I, cranks turning about their motors, rods as rigid bodies without spin about their own axes.
 Coordinates: twist [w, v] of P in B. M(pose) d(twist)/dt + h(pose, twist) = J' T with J = d(theta)/d(twist).
-`dynamics` has the same for arrays of poses, with checks. Gravity [m/s^2] is along -z of B. Poses are in [rad, m],
-twists in [rad/s, m/s], wrenches in [N m, N].
+`dynamics` has the same for arrays of poses, with checks. `base` (9,) is what an inertial unit at the origin of B reads,
+see `robot.gravity.base_reading`: it has gravity and the motion of the base. Poses are in [rad, m], twists in
+[rad/s, m/s], wrenches in [N m, N].
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat3, Mat6, Mat6x1, Vec6, Vec12
+from stewart_drake.base.records import Mat3, Mat6, Mat6x1, Vec3, Vec6, Vec9, Vec12
 from stewart_drake.mechanics.kinematics_laws import (
     Legs,
     Robot,
@@ -24,7 +25,7 @@ from stewart_drake.mechanics.kinematics_laws import (
     turned,
     twist_of,
 )
-from stewart_drake.mechanics.linear_algebra import multiply, solve
+from stewart_drake.mechanics.linear_algebra import any_nonzero, multiply, solve
 
 
 @njit
@@ -77,7 +78,7 @@ def task_inertia(robot: Robot, legs: Legs, out: Mat6) -> None:
 
 
 @njit
-def loads(robot: Robot, legs: Legs, twist: Vec6, twist_rate: Vec6, gravity: float, wrench: Vec6, torque: Vec6) -> None:
+def loads(robot: Robot, legs: Legs, twist: Vec6, twist_rate: Vec6, base: Vec9, wrench: Vec6, torque: Vec6) -> None:
     """Inertial and gravity loads of a motion: a wrench about P in B, and torques at the cranks.
 
     Args:
@@ -85,12 +86,16 @@ def loads(robot: Robot, legs: Legs, twist: Vec6, twist_rate: Vec6, gravity: floa
         legs: At the pose.
         twist: [rad/s, m/s].
         twist_rate: [rad/s^2, m/s^2].
-        gravity: [m/s^2].
+        base: Specific force [m/s^2], angular velocity and acceleration of the base.
         wrench: [N m, N], out.
         torque: [N m] at the cranks, out.
     """
     turn, w, alpha = legs.rotation[:], twist[:3], twist_rate[:3]
-    platform_load(robot, turn, twist, twist_rate, gravity, wrench)
+    moving = any_nonzero(base[3:])
+    if moving:
+        _platform_on_moving_base(robot, legs, twist, twist_rate, base, wrench)
+    else:
+        platform_load(robot, turn, twist, twist_rate, base, wrench)
     rows = np.empty((9, 3))  # One array: to allocate nine would take longer than the computation.
     arm_w, joint, speed, tip, arm_alpha, swing = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
     load, other, moment = rows[6], rows[7], rows[8]
@@ -110,15 +115,16 @@ def loads(robot: Robot, legs: Legs, twist: Vec6, twist_rate: Vec6, gravity: floa
             relative = speed[k] - a * legs.e_n[i, k] * rate
             acceleration += legs.e_l[i, k] * (joint[k] + centripetal * legs.crank[i, k]) + relative * relative / length
         acceleration /= lever
-        along = 0.0
+        crank_torque, along = robot.crank_inertia[i] * acceleration, 0.0
         for k in range(3):
             tip[k] = a * legs.e_n[i, k] * acceleration - centripetal * legs.crank[i, k]
-            along += legs.e_l[i, k] * (joint[k] - tip[k])
-        crank_torque = robot.crank_inertia[i] * acceleration + 0.5 * a * robot.crank_mass * gravity * legs.e_n[i, 2]
+            crank_torque += 0.5 * a * robot.crank_mass * base[k] * legs.e_n[i, k]
+        if moving:
+            crank_torque += _leg_on_moving_base(robot, legs, i, rate, speed, base, joint, tip)
         for k in range(3):
-            half = 0.25 * robot.rod_mass * (joint[k] + tip[k])
-            if k == 2:
-                half += 0.5 * robot.rod_mass * gravity
+            along += legs.e_l[i, k] * (joint[k] - tip[k])
+        for k in range(3):
+            half = 0.25 * robot.rod_mass * (joint[k] + tip[k]) + 0.5 * robot.rod_mass * base[k]
             couple = across * (joint[k] - tip[k] - along * legs.e_l[i, k])
             load[k], other[k] = half + couple, half - couple
             crank_torque += a * legs.e_n[i, k] * other[k]
@@ -130,7 +136,66 @@ def loads(robot: Robot, legs: Legs, twist: Vec6, twist_rate: Vec6, gravity: floa
 
 
 @njit
-def platform_load(robot: Robot, turn: Mat3, twist: Vec6, twist_rate: Vec6, gravity: float, wrench: Vec6) -> None:
+def add_base_acceleration(base: Vec9, place: Vec3, velocity: Vec3, out: Vec3) -> None:
+    """Adds the acceleration that turning of the base gives a point (3,) [m] of B that moves in B (3,) [m/s].
+
+    alpha x p + w x (w x p) + 2 w x v; that of the base's origin is in the specific force.
+    """
+    rows, w, alpha = np.empty((2, 3)), base[3:6], base[6:]
+    cross(w, place, rows[0])
+    for k in range(3):
+        rows[0, k] += 2.0 * velocity[k]
+    cross(w, rows[0], rows[1])
+    cross(alpha, place, rows[0])
+    for k in range(3):
+        out[k] += rows[0, k] + rows[1, k]
+
+
+@njit
+def _leg_on_moving_base(
+    robot: Robot, legs: Legs, leg: int, rate: float, speed: Vec3, base: Vec9, joint: Vec3, tip: Vec3
+) -> float:
+    """Adds the accelerations of a turning base to those of a rod's ends; returns the torque that the crank needs.
+
+    `rate` [rad/s] of the crank, `speed` (3,) [m/s] of the rod's end at the platform, both in B. A rotor is seen as
+    one that turns fast and light: its share of the crank's inertia follows the crank alone, as in Drake.
+    """
+    rows = np.zeros((6, 3))
+    place, end, velocity, centre, added, axis = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]
+    a, c, n, e_n = robot.crank_length[leg], legs.crank[leg], robot.crank_tensor, legs.e_n[leg]
+    for k in range(3):
+        centre[k] = robot.shaft[leg, k] + 0.5 * a * c[k]
+        place[k] = robot.shaft[leg, k] + a * c[k]
+        end[k] = place[k] + robot.rod_length[leg] * legs.e_l[leg, k]
+        velocity[k] = a * rate * e_n[k]
+    add_base_acceleration(base, end, speed, joint)
+    add_base_acceleration(base, place, velocity, tip)
+    for k in range(3):
+        velocity[k] *= 0.5
+    add_base_acceleration(base, centre, velocity, added)
+    cross(c, e_n, axis)
+    turning = n[1] * dot(axis, base[6:]) + (n[2] - n[0]) * dot(c, base[3:6]) * dot(e_n, base[3:6])
+    return 0.5 * a * robot.crank_mass * dot(e_n, added) + turning
+
+
+@njit
+def _platform_on_moving_base(robot: Robot, legs: Legs, twist: Vec6, twist_rate: Vec6, base: Vec9, wrench: Vec6) -> None:
+    """`platform_load` of the platform's motion in the world, in components of B."""
+    rows, place = np.empty((2, 6)), np.empty(3)
+    moved, moved_rate = rows[0], rows[1]
+    cross(base[3:6], twist[:3], moved_rate[:3])
+    for k in range(3):
+        place[k] = robot.shaft[0, k] + robot.crank_length[0] * legs.crank[0, k]
+        place[k] += robot.rod_length[0] * legs.e_l[0, k] - legs.arm[0, k]
+        moved[k], moved[3 + k] = twist[k] + base[3 + k], twist[3 + k]
+        moved_rate[k] += twist_rate[k] + base[6 + k]
+        moved_rate[3 + k] = twist_rate[3 + k]
+    add_base_acceleration(base, place, twist[3:], moved_rate[3:])
+    platform_load(robot, legs.rotation[:], moved, moved_rate, base, wrench)
+
+
+@njit
+def platform_load(robot: Robot, turn: Mat3, twist: Vec6, twist_rate: Vec6, base: Vec9, wrench: Vec6) -> None:
     """Load of the platform about P, in B: I alpha + w x I w, from components in P, and terms of its centre of mass."""
     rows = np.zeros((9, 3))
     body_w, body_alpha, spin, load, gyro = rows[0], rows[1], rows[2], rows[3], rows[4]
@@ -147,7 +212,7 @@ def platform_load(robot: Robot, turn: Mat3, twist: Vec6, twist_rate: Vec6, gravi
     centre, lifted, moment, swing = rows[5], rows[6], rows[7], rows[8]
     turned(turn, robot.platform_moment[:], centre)
     for k in range(3):
-        lifted[k] = twist_rate[3 + k] + (gravity if k == 2 else 0.0)
+        lifted[k] = twist_rate[3 + k] + base[k]
     cross(centre, lifted, moment)
     cross(twist[:3], centre, gyro)
     cross(twist[:3], gyro, swing)
@@ -158,10 +223,10 @@ def platform_load(robot: Robot, turn: Mat3, twist: Vec6, twist_rate: Vec6, gravi
 
 
 @njit
-def inverse_dynamics(robot: Robot, legs: Legs, twist: Vec6, twist_rate: Vec6, gravity: float, torque: Vec6) -> bool:
+def inverse_dynamics(robot: Robot, legs: Legs, twist: Vec6, twist_rate: Vec6, base: Vec9, torque: Vec6) -> bool:
     """Motor torques [N m] of a motion, all bodies included; False at a parallel singularity."""
     wrench, rod_force, matrix = np.empty(6), np.empty((6, 1)), np.empty((6, 6))
-    loads(robot, legs, twist, twist_rate, gravity, wrench, torque)
+    loads(robot, legs, twist, twist_rate, base, wrench, torque)
     for i in range(6):
         rod_force[i, 0] = wrench[i]
         for k in range(6):
@@ -186,25 +251,25 @@ def twists_of_motion(pose: Vec6, rate: Vec6, acceleration: Vec6, twist: Vec6, tw
 
 
 @njit
-def motion_torque(robot: Robot, legs: Legs, motion: Vec12, acceleration: Vec6, gravity: float, torque: Vec6) -> bool:
+def motion_torque(robot: Robot, legs: Legs, motion: Vec12, acceleration: Vec6, base: Vec9, torque: Vec6) -> bool:
     """`inverse_dynamics` of a motion in Euler angles: pose and rate (12,), acceleration (6,)."""
     twist, twist_rate = np.empty(6), np.empty(6)
     twists_of_motion(motion[:6], motion[6:], acceleration, twist, twist_rate)
-    return inverse_dynamics(robot, legs, twist, twist_rate, gravity, torque)
+    return inverse_dynamics(robot, legs, twist, twist_rate, base, torque)
 
 
 @njit
-def static_torque(robot: Robot, legs: Legs, gravity: float, torque: Vec6) -> bool:
+def static_torque(robot: Robot, legs: Legs, base: Vec9, torque: Vec6) -> bool:
     """Motor torques [N m] that hold all bodies at rest; False at a parallel singularity."""
     still = np.zeros(6)
-    return inverse_dynamics(robot, legs, still, still, gravity, torque)
+    return inverse_dynamics(robot, legs, still, still, base, torque)
 
 
 @njit
-def task_bias(robot: Robot, legs: Legs, twist: Vec6, gravity: float, out: Vec6) -> None:
+def task_bias(robot: Robot, legs: Legs, twist: Vec6, base: Vec9, out: Vec6) -> None:
     """Bias h [N m, N] in task coordinates: Coriolis, centrifugal, gyroscopic and gravity terms."""
     crank_torque = np.empty(6)
-    loads(robot, legs, twist, np.zeros(6), gravity, out, crank_torque)
+    loads(robot, legs, twist, np.zeros(6), base, out, crank_torque)
     for i in range(6):
         for k in range(6):
             out[k] += legs.line[i, k] / legs.lever[i] * crank_torque[i]
@@ -212,7 +277,7 @@ def task_bias(robot: Robot, legs: Legs, twist: Vec6, gravity: float, out: Vec6) 
 
 @njit
 def forward_dynamics(
-    robot: Robot, legs: Legs, pose: Vec6, rate: Vec6, torque: Vec6, crank_acceleration: Vec6, gravity: float, out: Vec6
+    robot: Robot, legs: Legs, pose: Vec6, rate: Vec6, torque: Vec6, crank_acceleration: Vec6, base: Vec9, out: Vec6
 ) -> bool:
     """Acceleration of the pose [rad/s^2, m/s^2] under motor torques, the inverse of `motion_torque`.
 
@@ -220,7 +285,7 @@ def forward_dynamics(
     """
     twist, bias, inertia, solution = np.empty(6), np.empty(6), np.empty((6, 6)), np.empty((6, 1))
     twist_of(pose, rate, twist)
-    task_bias(robot, legs, twist, gravity, bias)
+    task_bias(robot, legs, twist, base, bias)
     task_inertia(robot, legs, inertia)
     for k in range(6):
         solution[k, 0] = -bias[k]

@@ -58,7 +58,7 @@ def at_poses(
     robot: RobotLike,
     inputs: Mapping[str, ArrayLike],
     tail: tuple[int, ...],
-    *numbers: float,
+    *numbers: float | np.ndarray,
     kind: DTypeLike = float,
 ) -> np.ndarray:
     """Values (..., *tail) at poses.
@@ -84,7 +84,10 @@ def at_poses(
             raise ConfigurationError(name, inputs[name], f"{wanted} of shape (..., 6)")
     names, leading = list(arrays), np.broadcast_shapes(*(array.shape[:-1] for array in arrays.values()))
     rows = [np.array(array, order="C").reshape(-1, 6) for array in np.broadcast_arrays(*arrays.values())]
-    values, shared = np.empty((len(rows[0]), *tail), dtype=kind), (as_record(robot), *map(float, numbers))
+    values, shared = (
+        np.empty((len(rows[0]), *tail), dtype=kind),
+        (as_record(robot), *(n if isinstance(n, np.ndarray) else float(n) for n in numbers)),
+    )
     if over_rows(loop, shared, (*rows, values)) != OK:
         poses = rows[names.index("pose")]
         margins = reach_margin(robot, poses)

@@ -37,6 +37,7 @@ class Robot(Record):
     rod_mass: float  # [kg]
     rod_inertia: float  # [kg m^2] across the rod.
     crank_mass: float  # [kg]
+    crank_tensor: Vec3  # [kg m^2] of a crank about its centre: along it, about the motor's axis, across both.
     length: float  # [m] characteristic length.
     platform_mass: float  # [kg]
     platform_moment: Vec3  # [kg m] mass times centre of mass in P.
@@ -81,6 +82,7 @@ def robot_record(robot: RobotParameters) -> Robot:
         rod_mass=robot.rod_mass,
         rod_inertia=robot.rod_inertia[0],
         crank_mass=robot.crank_mass,
+        crank_tensor=robot.crank_inertia,
         length=robot.characteristic_length,
         platform_mass=robot.platform_mass,
         platform_moment=robot.platform_moment,

@@ -17,7 +17,7 @@ from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.plotting.style import chart
 from stewart_drake.references import paper_reference
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT, SMALLEST_SIZE
 
 SETTLING_STEPS = 14
@@ -43,7 +43,7 @@ def light_legs(robot: RobotParameters, scale: float) -> RobotParameters:
     return robot.replace(**{name: np.maximum(SMALLEST_SIZE, values).tolist() for name, values in scaled.items()})
 
 
-def measured(robot: RobotParameters, poses: np.ndarray, gravity: float, steps: int = SETTLING_STEPS) -> np.ndarray:
+def measured(robot: RobotParameters, poses: np.ndarray, gravity: Gravity, steps: int = SETTLING_STEPS) -> np.ndarray:
     """d(twist)/dt (n, 6, 6) at rest per N m of a motor, in the last microsecond of Drake's plant."""
     diagram, stewart = build_plant(robot, DrakeOptions(time_step=1e-6), gravity)
     simulator = Simulator(diagram)

@@ -98,7 +98,7 @@ def _trajectories(study: Reproduction) -> dict[str, tuple[SineReference, float]]
 
 
 def _controllers(study: Reproduction) -> dict[str, Scenario]:
-    condition = study.base.gravity, study.base.lqi.feedforward
+    condition = study.base.gravity_in_base, study.base.lqi.feedforward
     fixed = {name: paper_scenario(study.base, 10.0, *condition, pair_of(ratio)) for name, ratio in FIXED.items()}
     return {**fixed, TUNER: study.under_tuner(fixed["ratio 1"])}
 

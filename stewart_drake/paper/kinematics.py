@@ -28,7 +28,7 @@ from stewart_drake.paper.reproduce import ANNOUNCED, SEED, WIDE, Claim, Reproduc
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.plotting.style import chart
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.leg import crank_angles, crank_equation
 
 START = np.array([0.1, -0.05, 0.1, 0.01, -0.02, 0.01])
@@ -40,7 +40,7 @@ SAME_ANGLE = SAME_POSE = 1e-6
 """[rad, m] tolerance of equality; next to a dead centre an acos has only half the digits."""
 
 
-def exact_motion(robot: RobotParameters, gravity: float) -> np.ndarray:
+def exact_motion(robot: RobotParameters, gravity: Gravity) -> np.ndarray:
     """Pose (6,) [rad, m] after `DURATION` of `TORQUE` from rest at `START` by the closed-form model, to about 1e-12."""
 
     def derivative(_: float, state: np.ndarray) -> np.ndarray:
@@ -52,7 +52,7 @@ def exact_motion(robot: RobotParameters, gravity: float) -> np.ndarray:
     return solve_ivp(derivative, (0.0, DURATION), start, method="DOP853", rtol=1e-12, atol=1e-13).y[:6, -1]
 
 
-def plant_motion(robot: RobotParameters, gravity: float, time_step: float) -> tuple[np.ndarray, float]:
+def plant_motion(robot: RobotParameters, gravity: Gravity, time_step: float) -> tuple[np.ndarray, float]:
     diagram, plant = build_plant(robot, DrakeOptions(time_step=time_step), gravity)
     simulator = Simulator(diagram)
     context = simulator.get_mutable_context()
@@ -152,7 +152,7 @@ def branch_of_6(robot: RobotParameters, poses: np.ndarray, sense: int = 1) -> di
 
 
 def reproduce(study: Reproduction) -> Result:
-    robot, gravity, rng = study.base.robot, study.base.gravity, np.random.default_rng(SEED)
+    robot, gravity, rng = study.base.robot, study.base.gravity_in_base, np.random.default_rng(SEED)
     steps = np.array(study.pick((2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5), (2e-3, 1e-3, 5e-4)))
     motions = [plant_motion(robot, gravity, float(step)) for step in steps]
     off = np.abs([pose for pose, _ in motions] - exact_motion(robot, gravity))[:, 3:].max(axis=1)

@@ -64,7 +64,7 @@ def reproduce(study: Reproduction) -> Result:
     if study.folder is not None:
         study.tuner_file = study.folder / "tuner.json"
         results[density, "samples"].network.save(study.tuner_file)
-    largest = np.array(feasible_amplitudes(base.robot, base.limits, base.gravity)[0])
+    largest = np.array(feasible_amplitudes(base.robot, base.limits, base.gravity_in_base)[0])
     scores: dict[str, Document] = {}
     for (kind, split), result in results.items():
         of_sides = {side: {name: result.scores[f"{side} R^2 of log {name}"] for name in TARGETS} for side in SIDES}

@@ -24,6 +24,7 @@ from stewart_drake.control.tuners import FixedTuner, PaperTuner
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import run_metrics
 from stewart_drake.plotting import save_figure
+from stewart_drake.robot.gravity import Gravity
 from stewart_drake.runs.outputs import prepare_folder
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.runs import simulate
@@ -150,7 +151,7 @@ def pair_of(ratio: float) -> tuple[float, float]:
 
 
 def paper_scenario(
-    base: Scenario, duration: float, gravity: float, feedforward: str, pair: Sequence[float]
+    base: Scenario, duration: float, gravity: Gravity, feedforward: str, pair: Sequence[float]
 ) -> Scenario:
     return base.replace(
         {

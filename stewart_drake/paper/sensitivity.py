@@ -77,7 +77,7 @@ def reproduce(study: Reproduction) -> Result:
     base, duration = study.base, study.pick(DURATION, 0.5 * DURATION)
     ratios = study.pick((1.0, 100.0), (1.0,))
     fixed = {
-        f"ratio {ratio:g}": paper_scenario(base, duration, base.gravity, base.lqi.feedforward, pair_of(ratio))
+        f"ratio {ratio:g}": paper_scenario(base, duration, base.gravity_in_base, base.lqi.feedforward, pair_of(ratio))
         for ratio in ratios
     }
     controllers = {"tuner": study.under_tuner(fixed["ratio 1"]), **fixed}

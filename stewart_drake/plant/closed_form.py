@@ -12,7 +12,7 @@ import numpy as np
 
 from stewart_drake.base.errors import SingularPoseError
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat3, Mat6, Matrix, Record, TickResult, Vec3, Vec6, Vec12, record
+from stewart_drake.base.records import Mat3, Mat6, Matrix, Record, TickResult, Vec3, Vec6, Vec9, Vec12, record
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import loads, task_inertia
@@ -22,7 +22,7 @@ from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import any_nonzero, copy_to, solve
 from stewart_drake.plant.model_files import HomeFrames, home_frames
 from stewart_drake.plant.plant_options import MechanismOptions, foreign_state
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters, base_reading
 
 SUBSTEPS = 8
 """Number of substeps of `rk4` in a step in which a motor with dry friction reverses or sticks."""
@@ -42,7 +42,7 @@ class ClosedFormState(Record):
 class ClosedFormParams(Record):
     """Parameters of the plant."""
 
-    gravity: float  # [m/s^2]
+    base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     step: float  # [s]
 
 
@@ -56,17 +56,17 @@ class ClosedFormOptions(MechanismOptions):
     """Integration: semi-implicit of first order, as in Drake, or Runge-Kutta of order 4. When a motor with dry friction
     reverses or sticks, both are of first order."""
 
-    def make(self, robot: RobotParameters, gravity: float) -> ClosedForm:
+    def make(self, robot: RobotParameters, gravity: Gravity) -> ClosedForm:
         return ClosedForm(robot, self, gravity)
 
 
 class ClosedForm:
     """The robot as a `Plant`; it uses time step, friction and payload of the options."""
 
-    def __init__(self, robot: RobotParameters, options: MechanismOptions, gravity: float) -> None:
+    def __init__(self, robot: RobotParameters, options: MechanismOptions, gravity: Gravity) -> None:
         self._robot, self._home, self._state = robot, home_frames(robot), ClosedFormState.new()
         self._measured = self._state.view(np.float64)[:24]
-        params = ClosedFormParams.new(gravity=gravity, step=on_grid(options.time_step))
+        params = ClosedFormParams.new(base=base_reading(gravity), step=on_grid(options.time_step))
         # With options of other plants too, semi-implicit.
         self._kernel = _rk4 if getattr(options, "integrator", "") == "rk4" else _semi_implicit
         self._fixed, self._legs = (options.loaded(robot), options.friction_of(robot), params), Legs.empty()
@@ -84,6 +84,9 @@ class ClosedForm:
         if status != laws.OK:
             raise SingularPoseError("serial", self._state["pose"][0].copy(), margin, 0.0, leg)
         return self._measured
+
+    def set_base(self, base: np.ndarray) -> None:
+        self._fixed[2]["base"] = base
 
     def save(self) -> ClosedFormState:
         return self._state.copy()
@@ -105,12 +108,12 @@ def crank_motion(
 
 @njit
 def _accelerations(
-    robot: Robot, legs: Legs, twist: Vec6, gravity: float, torque: Vec6, wrench: Vec6, jacobian: Mat6, out: Matrix
+    robot: Robot, legs: Legs, twist: Vec6, base: Vec9, torque: Vec6, wrench: Vec6, jacobian: Mat6, out: Matrix
 ) -> None:
     """Acceleration under torques and a wrench in the last column of `out` (6, 1 or 7), with M^-1 J' before it if 7."""
     inertia, load, crank_torque, still, last = np.empty((6, 6)), np.empty(6), np.empty(6), np.zeros(6), out.shape[1] - 1
     task_inertia(robot, legs, inertia)
-    loads(robot, legs, twist, still, gravity, load, crank_torque)
+    loads(robot, legs, twist, still, base, load, crank_torque)
     laws.crank_jacobian(legs, jacobian)
     for k in range(6):
         out[k, last] = wrench[k] - load[k]
@@ -196,7 +199,7 @@ def _semi_implicit(
     bad = laws.legs_at(robot, state.pose[:], legs)
     if bad >= 0:
         return laws.SERIAL, bad, legs.reach_margin[bad]
-    _accelerations(robot, legs, state.twist[:], params.gravity, torque, wrench, jacobian, accelerations)
+    _accelerations(robot, legs, state.twist[:], params.base[:], torque, wrench, jacobian, accelerations)
     for k in range(6):
         twist[k] = state.twist[k] + step * accelerations[k, 6]
     if any_nonzero(friction.break_away[:]) or any_nonzero(friction.viscous[:]):
@@ -279,7 +282,7 @@ def _rk4_step(
                 _add_dry_friction(robot, friction, params, legs, wrench, step, state, held)
         copy_to(applied, held)
         _add_viscous_friction(friction, legs, twist, applied)
-        _accelerations(robot, legs, twist, params.gravity, applied, wrench, jacobian, acceleration)
+        _accelerations(robot, legs, twist, params.base[:], applied, wrench, jacobian, acceleration)
         _turn_rate(change[:3], twist[:3], rate[:3])
         for k in range(3):
             rate[3 + k] = twist[3 + k]
@@ -309,7 +312,7 @@ def _add_viscous_friction(friction: Friction, legs: Legs, twist: Vec6, torque: V
 
 @njit
 def motion_rate(
-    robot: Robot, friction: Friction, gravity: float, legs: Legs, motion: Vec12, torque: Vec6, wrench: Vec6, out: Vec12
+    robot: Robot, friction: Friction, base: Vec9, legs: Legs, motion: Vec12, torque: Vec6, wrench: Vec6, out: Vec12
 ) -> tuple[int, float]:
     """Time derivative of pose and pose rate in Euler angles, with viscous friction only, for other integrators.
 
@@ -323,7 +326,7 @@ def motion_rate(
     laws.twist_of(motion[:6], motion[6:], twist)
     copy_to(applied, torque)
     _add_viscous_friction(friction, legs, twist, applied)
-    _accelerations(robot, legs, twist, gravity, applied, wrench, jacobian, acceleration)
+    _accelerations(robot, legs, twist, base, applied, wrench, jacobian, acceleration)
     laws.euler_drift(motion[:3], motion[6:], out[6:9])
     for k in range(6):
         out[k] = motion[6 + k]
@@ -345,7 +348,7 @@ def _add_dry_friction(
 ) -> None:
     """Adds the dry friction of a semi-implicit step to torques: its friction without the viscous part at its end."""
     jacobian, accelerations, twist, friction_torque = np.empty((6, 6)), np.empty((6, 7)), np.empty(6), np.empty(6)
-    _accelerations(robot, legs, state.twist[:], params.gravity, torque, wrench, jacobian, accelerations)
+    _accelerations(robot, legs, state.twist[:], params.base[:], torque, wrench, jacobian, accelerations)
     for k in range(6):
         twist[k] = state.twist[k] + step * accelerations[k, 6]
     _friction_torque(friction, jacobian, accelerations, step, state, twist, friction_torque)

@@ -21,6 +21,7 @@ from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import cross, leg_geometry, roll_pitch_yaw, rotation_matrix
 from stewart_drake.plant.plant_options import DrakeOptions, PlantOptions, RodJoint
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.gravity import Gravity, gravity_vector
 from stewart_drake.robot.leg import JOINT_SWING, LARGEST_SIZE, LEG_COUNT
 
 if TYPE_CHECKING:
@@ -172,7 +173,7 @@ def write_sdf(
 
 def mjcf_text(
     robot: RobotParameters,
-    gravity: float = STANDARD_GRAVITY,
+    gravity: Gravity = STANDARD_GRAVITY,
     options: PlantOptions | None = None,
     *,
     joint_swing: float | None = None,
@@ -186,7 +187,7 @@ def mjcf_text(
 
     Motors `motor_0..5` take torques [N m] within the effort limit; their joints are zero at home. Links are drawn, but
     do not collide. The options used are `time_step`, `universal_damping` and the motors' friction, without break-away
-    torque, which MuJoCo lacks. Gravity is in m/s^2 along -z.
+    torque, which MuJoCo lacks. Gravity is in m/s^2, a number along -z or a vector in B.
 
     With `joint_swing` [rad] the rods have stops on either side of home about both hinges, and are damped there also
     where `universal_damping` is 0: for torques of any kind, as in training. None leaves the model of the closed form.
@@ -200,7 +201,7 @@ def mjcf_text(
         home_rotation=robot.tool_rotation,
         platform_inertia=_moments_and_products(robot),
         disc=on_platform(robot, (0.0, 0.0, 0.0)),
-        gravity=gravity,
+        gravity=gravity_vector(gravity),
         step=options.time_step,
         linear=not any(friction.coulomb) and not np.isfinite(frames.stops).any() and joint_swing is None,
         coulomb=friction.coulomb,

@@ -12,19 +12,21 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal, cast
 
 import numpy as np
 
 from stewart_drake.base.atomic_files import check_file
 from stewart_drake.base.config import Text, choices_text
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, installed_with, pose_text
+from stewart_drake.mechanics.dynamics import base_wrenches
 from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_rate_to_twist, rotation_matrix
 from stewart_drake.plant.model_files import home_frames, mjcf_text
 from stewart_drake.plant.mujoco_laws import ModelFrames, apply_forces, measure
 from stewart_drake.plant.plant_options import MechanismOptions, Simulated, foreign_state
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.gravity import Gravity, base_reading, gravity_vector
 from stewart_drake.robot.leg import Moderate
 from stewart_drake.robot.robot_files import robot_model
 
@@ -94,7 +96,7 @@ class MujocoOptions(MechanismOptions):
             viscous = float(file.model.dof_damping[dofs].max()) if viscous is None else viscous
         return FrictionOptions.from_dict({"coulomb": dry or 0.0, "viscous": viscous or 0.0})
 
-    def make(self, robot: RobotParameters, gravity: float) -> MujocoPlant:
+    def make(self, robot: RobotParameters, gravity: Gravity) -> MujocoPlant:
         return MujocoPlant(robot, self, gravity)
 
     def simulated(self, robot: RobotParameters) -> Simulated:
@@ -257,8 +259,9 @@ class ModelFile:
 class MujocoPlant:
     """An MJCF model as a `Plant`; motor torques are limited to the model's force ranges."""
 
-    def __init__(self, robot: RobotParameters, options: MujocoOptions, gravity: float) -> None:
+    def __init__(self, robot: RobotParameters, options: MujocoOptions, gravity: Gravity) -> None:
         file = ModelFile(options, mjcf_text(robot, gravity, options) if options.model_file is None else "")
+        self._still, self._moved = base_reading(gravity), cast("np.ndarray | None", None)
         self._mujoco, self._mjcf_legs, fit = file.mujoco, file.mjcf_legs, file.fit(robot)
         self._robot, self._home, (self._base, self._origin) = robot, home_frames(robot), fit.base
         site, body = self._add_platform(file, fit.platform, options)
@@ -301,9 +304,9 @@ class MujocoPlant:
         load.mass, load.explicitinertial = options.payload_mass, True
         return body.add_site(pos=place, quat=quaternion), body
 
-    def _set_options(self, options: MujocoOptions, passive: list[int], gravity: float) -> None:
+    def _set_options(self, options: MujocoOptions, passive: list[int], gravity: Gravity) -> None:
         model, bits, friction = self._model, self._mujoco.mjtDisableBit, options.friction_options
-        model.opt.timestep, model.opt.gravity[:] = options.time_step, self._base @ [0.0, 0.0, -gravity]
+        model.opt.timestep, model.opt.gravity[:] = options.time_step, self._base @ gravity_vector(gravity)
         model.opt.disableflags |= bits.mjDSBL_CONTACT | bits.mjDSBL_SENSOR
         of_passive = np.isin(model.dof_jntid, passive)
         # `dof_dampingpoly`, damping with higher powers of a rate, does not exist in every version of MuJoCo.
@@ -372,12 +375,30 @@ class MujocoPlant:
         """A step; NotFiniteError if the simulation has diverged."""
         mujoco, model, data = self._mujoco, self._model, self._data
         apply_forces(self._frames, torque, wrench, self._rates, *self._pushed)
+        if self._moved is not None:
+            self._move_base(self._moved)
         # The same as `mj_step`, except that it does not write a log file and reset the state if numbers are bad.
         mujoco.mj_fwdActuation(model, data)
         mujoco.mj_fwdAcceleration(model, data)
         mujoco.mj_fwdConstraint(model, data)
         self._integrate(model, data)
         return self._measure()
+
+    def set_base(self, base: np.ndarray) -> None:
+        self._moved = base - self._still
+
+    def _move_base(self, change: np.ndarray) -> None:
+        """Adds the forces of a base that moves, which differ from those of gravity at rest by a change (9,)."""
+        model, data, first = self._model, self._data, 1
+        at, spin = data.xipos[first:], data.cvel[first:, :3]
+        velocity = data.cvel[first:, 3:] + np.cross(spin, at - data.subtree_com[model.body_rootid[first:]])
+        axes = data.ximat[first:].reshape(-1, 3, 3)
+        inertia = axes * model.body_inertia[first:, None] @ axes.swapaxes(1, 2)
+        in_world = (np.reshape(change, (3, 3)) @ self._base.T).ravel()
+        moment, force = base_wrenches(in_world, model.body_mass[first:], at - self._origin, velocity, spin, inertia)
+        body = data.xfrc_applied[self._body].copy()
+        data.xfrc_applied[first:] = np.hstack([force, moment])
+        data.xfrc_applied[self._body] += body
 
     def _runge_kutta(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._mujoco.mj_RungeKutta(model, data, 4)

@@ -46,7 +46,6 @@ from pydrake.systems.framework import (
 )
 
 from stewart_drake.base.arguments import checked
-from stewart_drake.base.config import NotNegative, check_value
 from stewart_drake.base.errors import ConfigurationError, drake_guard
 from stewart_drake.base.sampling import decimal, on_grid
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
@@ -55,6 +54,7 @@ from stewart_drake.plant.plant_options import DrakeOptions, platform_damping_lim
 from stewart_drake.plant.servo_friction import FrictionSystems, add_servos, wire_friction
 from stewart_drake.plant.state_map import StateIndices, StateMap
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.gravity import Gravity, check_gravity, gravity_vector
 from stewart_drake.robot.leg import LEG_COUNT
 
 _ONCE = 1e12
@@ -68,7 +68,9 @@ class StewartRobot(StateMap):
 
     Attributes:
         plant, instance: The multibody plant, and the model instance of the robot in it.
-        options, gravity: Options of its joints, and gravity [m/s^2] when the robot was added.
+        options, gravity: Options of its joints, and gravity [m/s^2] in B when the robot was added: a number along -z,
+            or a vector.
+        base: X_WB, pose of its base in the world.
         scene_graph: The SceneGraph that `add_plant` made, or None.
     """
 
@@ -85,8 +87,10 @@ class StewartRobot(StateMap):
     ) -> None:
         super().__init__(robot, options.rod_joint)
         self.plant, self.instance, self.options = plant, instance, options
-        self.gravity = float(np.linalg.norm(plant.gravity_field().gravity_vector()))
+        self.base = base
         self._base = base.rotation().matrix()
+        x, y, z = self._base.T @ plant.gravity_field().gravity_vector()
+        self.gravity: Gravity = float(-z) if max(abs(x), abs(y)) <= 1e-12 * abs(z) else (float(x), float(y), float(z))
         self._law = options.friction_of(robot)
         self._start: list[np.ndarray] = []  # The default state of the robot, at rest and in motion, and its pose rate.
         self._friction: FrictionSystems | None = None
@@ -314,7 +318,7 @@ def add_plant(
     builder: DiagramBuilder,
     robot: RobotParameters,
     options: DrakeOptions | None = None,
-    gravity: float = STANDARD_GRAVITY,
+    gravity: Gravity = STANDARD_GRAVITY,
     *,
     visuals: bool = False,
     before_finalize: Callable[[StewartRobot], None] | None = None,
@@ -328,7 +332,7 @@ def add_plant(
         builder: Receives the system `plant`, and as needed `scene_graph`, `friction` and its `friction_...`.
         robot: Geometry and masses.
         options: Options of the plant; None takes the defaults.
-        gravity: [m/s^2] magnitude, along -z.
+        gravity: [m/s^2] a number, along -z; or a vector.
         visuals: Register the geometry with a SceneGraph even where nothing collides, for visualisers and cameras.
         before_finalize: Adds further bodies to the `plant` of the robot that it is called with.
         name: Of the plant in the Diagram.
@@ -338,7 +342,7 @@ def add_plant(
         DrakeCheckError: Drake refuses the model.
     """
     options = DrakeOptions() if options is None else options
-    check_value("gravity", gravity, NotNegative)
+    check_gravity(gravity)
     if builder.HasSubsystemNamed(name):
         raise ConfigurationError("name", name, "one that no other system of the Diagram has")
     with drake_guard("building the plant"):
@@ -353,7 +357,7 @@ def add_plant(
             _, scene_graph = AddMultibodyPlantSceneGraph(builder, plant)
         else:
             builder.AddSystem(plant)
-        plant.mutable_gravity_field().set_gravity_vector(np.array([0.0, 0.0, -gravity]))
+        plant.mutable_gravity_field().set_gravity_vector(gravity_vector(gravity))
     added = add_robot(plant, robot, options)
     added.scene_graph = scene_graph
     if before_finalize is not None:
@@ -367,7 +371,7 @@ def add_plant(
 def build_plant(
     robot: RobotParameters,
     options: DrakeOptions | None = None,
-    gravity: float = STANDARD_GRAVITY,
+    gravity: Gravity = STANDARD_GRAVITY,
     *,
     visuals: bool = False,
 ) -> tuple[Diagram, StewartRobot]:

@@ -18,7 +18,7 @@ from stewart_drake.base.families import UserMade, imported
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.friction import Friction, FrictionOptions, bristle_stiffness
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.leg import LARGEST_SIZE, Moderate
 
 MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.01  # [s] limited by rounding, and by the motion.
@@ -38,6 +38,9 @@ class Plant(Protocol):
 
     def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         """Moves by one step under torques (6,) [N m] of the motors and a wrench (6,) [N m, N] about P."""
+
+    def set_base(self, base: np.ndarray) -> None:
+        """Sets the motion of the base until the next call: (9,), see `robot.gravity.base_reading`."""
 
     def save(self) -> object:
         """A copy of the state, for `restore` of a plant of the same kind."""
@@ -61,6 +64,8 @@ class PlantOptions(Section, ABC, key="plant"):
     """Whether Drake's Simulator runs it in a Diagram; otherwise the loop steps it as a `Plant`."""
     compared_with: ClassVar[str | None] = None
     """The kind that it replaces for speed; studies repeat one of their runs with that kind."""
+    base_moves: ClassVar[bool] = True
+    """Whether its base may move."""
     joints_rub: ClassVar[bool] = False
     """Whether it can have friction in the rods' ball joints."""
     moved_keys: ClassVar[dict[str, str]] = {"engine": "plant.kind: drake, closed_form or module:Class"}
@@ -77,8 +82,8 @@ class PlantOptions(Section, ABC, key="plant"):
     """[N m s/rad] of that joint."""
 
     @abstractmethod
-    def make(self, robot: RobotParameters, gravity: float) -> Plant:
-        """The plant, to be stepped; gravity in [m/s^2]."""
+    def make(self, robot: RobotParameters, gravity: Gravity) -> Plant:
+        """The plant, to be stepped; gravity in [m/s^2] in B, with a base at rest."""
 
     @property
     def code(self) -> CodePath | None:
@@ -175,7 +180,7 @@ class DrakeOptions(MechanismOptions):
         steps = math.inf if self.broken_rod is None else self.broken_rod.time / self.time_step
         return math.ceil(steps - 1e-6) if math.isfinite(steps) else None
 
-    def make(self, robot: RobotParameters, gravity: float) -> Plant:
+    def make(self, robot: RobotParameters, gravity: Gravity) -> Plant:
         # Imported here: it imports these options, and Drake, which takes seconds.
         plant: Plant = imported("plant.stepped_plant:SteppedPlant")(robot, self, gravity)
         return plant
@@ -205,9 +210,10 @@ class UserPlantOptions(UserMade, PlantOptions, key="plant"):  # type: ignore[mis
     `time_step` gets them.
     """
 
+    base_moves: ClassVar[bool] = False
     asked = "step(torque, wrench) returns pose and pose rate, or these, crank angles and crank rates, (6,) each"
 
-    def make(self, robot: RobotParameters, gravity: float) -> Plant:
+    def make(self, robot: RobotParameters, gravity: Gravity) -> Plant:
         plant = self.new_object({"robot": robot, "gravity": gravity, "time_step": self.time_step})
         for method in ("initial", "step"):
             if not callable(getattr(plant, method, None)):
@@ -227,6 +233,9 @@ class _UserPlant:
 
     def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         return self._ask(self._plant.step, torque, wrench)
+
+    def set_base(self, base: np.ndarray) -> None:
+        raise ConfigurationError("base.motion", base, "null, with a plant of yours")
 
     def save(self) -> object:
         return type(self._plant), copy.deepcopy(vars(self._plant)), self._measured.copy()

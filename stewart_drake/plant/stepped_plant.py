@@ -7,15 +7,16 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, FixedInputPortValue
 
 from stewart_drake.base.errors import drake_guard
+from stewart_drake.plant.base_forces import base_forces
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import DrakeOptions, foreign_state
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 
 
 class SteppedPlant:
     """The `MultibodyPlant` as a `Plant`."""
 
-    def __init__(self, robot: RobotParameters, options: DrakeOptions, gravity: float) -> None:
+    def __init__(self, robot: RobotParameters, options: DrakeOptions, gravity: Gravity) -> None:
         self._diagram, self._stewart = build_plant(robot, options, gravity)
         plant = self._stewart.plant
         self._force_port, self._period = plant.get_applied_spatial_force_input_port(), plant.time_step()
@@ -35,6 +36,10 @@ class SteppedPlant:
             self._steps += 1
             self._simulator.AdvanceTo(self._steps * self._period)
         return self._measure()
+
+    def set_base(self, base: np.ndarray) -> None:
+        forces = base_forces(self._stewart, self._plant_context, base)
+        self._force_port.FixValue(self._plant_context, [self._stewart.push(self._wrench), *forces])
 
     def save(self) -> tuple[int, list[np.ndarray]]:
         """Steps done, and the discrete state of the Diagram: of the plant, and of its friction if it has any."""

@@ -19,6 +19,7 @@ from stewart_drake.logs.log import SimulationLog, distinct_names
 from stewart_drake.logs.metrics import INTEGRAL_TIME, run_metrics
 from stewart_drake.logs.signals import SCALES, SIGNALS
 from stewart_drake.plotting import style as look
+from stewart_drake.robot.gravity import gravity_text
 
 _AXIS_COLORS = (look.ORANGE, look.GREEN, look.BLUE)  # Colours of axes 1, 2, 3, in the order of RGB triads.
 _LINES: tuple[Literal["-", ":", "-.", "--"], ...] = ("-", ":", "-.", "--")  # By run.
@@ -265,7 +266,7 @@ def _figure(
             panel.axvspan(when, grid[0, 0].get_xlim()[1], color=_FAILURE, alpha=0.08, linewidth=0.0)
     figure.suptitle(f"{scenario.name}: {ended}", y=top, fontsize=14, color=color, **place)
     controller = scenario.controller
-    text = f"{subtitle}; gravity {scenario.gravity:g} m/s², {controller.label}, "
+    text = f"{subtitle}; gravity {gravity_text(scenario.gravity_in_base)} m/s², {controller.label}, "
     text += f"control period {1e3 * controller.period:g} ms"
     if "density" in log.signals:
         text += f", tuner {scenario.tuner.kind}"

@@ -26,6 +26,10 @@ Length = Annotated[
     Real, Field(ge=SMALLEST_SIZE, le=MOST), with_message("a length above 0 and at most 30 m; in millimetres?")
 ]
 """[m]"""
+Height = Annotated[
+    Real, Field(ge=-MOST, le=MOST), with_message("a height within 30 m, negative below the base; in millimetres?")
+]
+"""[m]"""
 Coordinate = Annotated[Real, Field(ge=-MOST, le=MOST)]
 """[m]"""
 Position = tuple[Coordinate, Coordinate, Coordinate]

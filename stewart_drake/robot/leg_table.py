@@ -17,7 +17,7 @@ from stewart_drake.base.config import check_value, did_you_mean
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.tables import no_header
 from stewart_drake.robot.geometry import check_order, wrapped
-from stewart_drake.robot.leg import LARGEST_SIZE, LEG_COUNT, MOST, Signed3, Size, crank_equation
+from stewart_drake.robot.leg import LARGEST_SIZE, LEG_COUNT, MOST, Signed, Signed3, Size, crank_equation
 from stewart_drake.robot.symmetry import doubts, turned_legs
 
 UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "in": 0.0254}  # [m] Units of a table.
@@ -38,7 +38,11 @@ _SIDE = 0.05  # [-] Least sine of the angle between a partner and the centre.
 _DOUBLED = 1e-3  # [-] Least distance of two shafts, over that from z.
 LEVEL_SPREAD = 0.01  # [-] Largest difference of the heights at which cranks are level, over the rod's length.
 _ALL_LENGTHS = ("crank_length", "rod_length", "home_height", "link_radius", "characteristic_length")
-_LENGTHS: dict[str, object] = {**dict.fromkeys(_ALL_LENGTHS, Size), "platform_center_of_mass": Signed3}
+_LENGTHS: dict[str, object] = {
+    **dict.fromkeys(_ALL_LENGTHS, Size),
+    "home_height": Signed,
+    "platform_center_of_mass": Signed3,
+}
 _CHECKED = _LENGTHS | dict.fromkeys(("platform_mass", "rod_mass", "crank_mass"), Size)
 _MAX_BYTES = 1_000_000
 _LINK_RADIUS = 0.005 / 0.11  # [-] Over the characteristic length, as in the paper's robot.
@@ -98,7 +102,7 @@ def from_table(
     doubted = [*doubts(shafts, joints, {"crank": zero, **lengths}), *_far_pairs(shafts, pairs)]
     height = chosen.get("home_height")
     with _explained(doubted):
-        heights, levels = _home_heights(shafts, joints, zero, lengths, home, height is None)
+        heights, levels = _home_heights(shafts, joints, zero, lengths, home, None if height is None else float(height))
     points = {"shaft_position": shafts, "platform_joint": joints}
     directions = {"crank_zero_direction": zero, "crank_quarter_direction": up}
     known = {"home_height": float(heights.mean()), **chosen}
@@ -310,9 +314,13 @@ def _home_heights(
     zero: np.ndarray,
     lengths: Mapping[str, np.ndarray],
     home: Home,
-    needed: bool,
+    height: float | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Heights (6,) [m] of P at home by leg, and where the cranks are at theta = 0; NaN where there is none."""
+    """Heights (6,) [m] of P at home by leg, and where the cranks are at theta = 0; NaN where there is none.
+
+    A known `height` may be negative, below the base.
+    """
+    needed, side = height is None, -1.0 if height is not None and height < 0.0 else 1.0
     crank, rod = lengths["crank_length"], lengths["rod_length"]
     level = shafts + crank[:, None] * zero, rod, "level crank"
     # A rod perpendicular to its crank: the shaft is sqrt(rod^2 + crank^2) from the joint.
@@ -325,7 +333,7 @@ def _home_heights(
             allowed = f"more than {across[leg]:.4g} m from {name} to joint of leg {leg}, or a home_height"
             raise ConfigurationError(f"table: rod_length of leg {leg}", float(rod[leg]), allowed)
         with np.errstate(invalid="ignore"):
-            result.append(points[:, 2] - joints[:, 2] + np.sqrt(reach**2 - across**2))
+            result.append(points[:, 2] - joints[:, 2] + side * np.sqrt(reach**2 - across**2))
     return result[home == "perpendicular"], result[0]
 
 

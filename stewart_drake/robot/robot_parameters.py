@@ -18,6 +18,7 @@ from stewart_drake.robot.leg import (
     LEG_COUNT,
     Branch,
     HalfAngle,
+    Height,
     Length,
     Moderate,
     Position,
@@ -107,8 +108,8 @@ class RobotParameters(Section, key="robot"):
     """[m] length of a crank, shaft to tip; |a| in the paper."""
     rod_length: Length = 0.404
     """[m] length of a rod, crank tip to platform joint."""
-    home_height: Length = 0.30
-    """[m] Z of P in B at home, the pose of P with roll, pitch, yaw, X, Y zero."""
+    home_height: Height = 0.30
+    """[m] Z of P in B at home, negative below the base, the pose of P with roll, pitch, yaw, X, Y zero."""
     tool: Tool | None = None
     """Frame of a tool, whose poses replace those of P; null for P. The robot's other keys still refer to P."""
     branch: Branch = -1

@@ -25,6 +25,7 @@ from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.mechanics.kinematics import pose_rate_to_twist, twist_jacobian
 from stewart_drake.references import AdjustedReference, Reference
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.gravity import Gravity, gravity_text, gravity_vector
 from stewart_drake.safety import SafetyOptions, refuse_motion, refuse_start, sample_times
 from stewart_drake.scenario.limits import LimitMargin, ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
@@ -52,9 +53,11 @@ def refuse_unrunnable(scenario: Scenario) -> None:
 
 def check_scenario(scenario: Scenario) -> None:
     """Raises a ConfigurationError if the motion leaves the limits, or the robot cannot hold the start pose."""
-    setup = (scenario.robot, scenario.controller_model, scenario.limits, scenario.safety, scenario.gravity)
+    scenario.base.check()
+    setup = (scenario.robot, scenario.controller_model, scenario.limits, scenario.safety, scenario.gravity_in_base)
     motion = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
-    key = (*setup, *motion, tuple(file_digests({"reference": to_plain(scenario.reference)}).items()))
+    files = {"reference": to_plain(scenario.reference), "base": to_plain(scenario.base)}
+    key = (*setup, *motion, scenario.base, scenario.base_compensation, tuple(file_digests(files).items()))
     # A user's code may give other results the next time.
     repeatable = not user_parts(scenario)
     if not (repeatable and key in _PASSED):
@@ -88,7 +91,7 @@ def check_scenario(scenario: Scenario) -> None:
 
 def _length_hint(scenario: Scenario) -> list[str]:
     """A hint for motions of many metres."""
-    pose, _, _ = scenario.reference.evaluate(np.linspace(0.0, scenario.duration, 101))
+    pose, _, _ = scenario.asked.evaluate(np.linspace(0.0, scenario.duration, 101))
     farthest = float(np.abs(pose[:, 3:]).max())
     return [f"the motion goes to {farthest:.4g} m: are its lengths in mm?"] if farthest > _LARGEST["m"] else []
 
@@ -102,7 +105,9 @@ def _remedies(scenario: Scenario, report: feasibility.FeasibilityReport, limit: 
     def feasible(scale: float, speed: float) -> bool:
         slower = times / speed
         signals = adjusted(motion, scale, 1.0 / speed).evaluate(slower)
-        return feasibility.check_motion(scenario.robot, scenario.limits, slower, *signals, scenario.gravity).feasible
+        return feasibility.check_motion(
+            scenario.robot, scenario.limits, slower, *signals, scenario.gravity_in_base
+        ).feasible
 
     with user_code(scenario), np.errstate(all="ignore"):
         scale = feasibility.largest_share(lambda share: feasible(share, 1.0))
@@ -143,7 +148,7 @@ def _check_rates(scenario: Scenario) -> None:
 
 
 def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:
-    motion = (scenario.robot, scenario.limits, scenario.reference, scenario.duration, scenario.gravity)
+    motion = (scenario.robot, scenario.limits, scenario.asked, scenario.duration, scenario.gravity_in_base)
     try:
         # Overflows are reported as a violated limit or as a signal that is not finite.
         with user_code(scenario), np.errstate(all="ignore"):
@@ -175,8 +180,8 @@ def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
     if not names:
         return feasibility.FeasibilityReport({}, None)
     with user_code(scenario), np.errstate(all="ignore"), suppress(RunFailure, np.linalg.LinAlgError):
-        pose, rate, acceleration = scenario.reference.evaluate(time)
-        torque = inverse_dynamics(plant.loaded(robot), pose, rate, acceleration, scenario.gravity)
+        pose, rate, acceleration = scenario.asked.evaluate(time)
+        torque = inverse_dynamics(plant.loaded(robot), pose, rate, acceleration, scenario.gravity_in_base)
         to_cranks, wrench = twist_jacobian(robot, pose), total_wrench(pushes, time)
         torque -= np.linalg.solve(np.swapaxes(to_cranks, -1, -2), wrench[..., None])[..., 0]
         speed = (to_cranks @ pose_rate_to_twist(pose, rate)[..., None])[..., 0]
@@ -225,7 +230,7 @@ def compared_with_model(scenario: Scenario) -> list[tuple[str, str, str]]:
             for key, words, unit in _FRICTION
         ),
         ("payload", text(plant.payload_mass, "kg"), text(0.0, "kg")),
-        ("gravity", text(scenario.gravity, "m/s^2"), text(model.gravity, "m/s^2")),
+        ("gravity", f"{gravity_text(scenario.gravity_in_base)} m/s^2", f"{gravity_text(model.gravity)} m/s^2"),
         ("noise of a crank's angle", text(correct.noise, "rad"), text(model.noise, "rad")),
         ("delay of a command [ticks]", str(correct.delay), str(model.delay)),
         ("age of a reading", text(correct.reading_age, "s"), text(model.reading_age, "s")),
@@ -243,7 +248,8 @@ def likely_cause(scenario: Scenario, ended: float) -> str:
     if worst := plant_report(scenario).first_violation:
         return f"{worst.where} needs {worst.value:.4g} N m, its motor has {worst.bound:.4g} N m"
     period, slow = scenario.controller.period, _SLOW_LOOP_FALL * scenario.robot.characteristic_length
-    fall = 0.5 * scenario.gravity * (period * (1 + scenario.loop_delay)) ** 2
+    size = float(np.linalg.norm(gravity_vector(scenario.gravity_in_base)))
+    fall = 0.5 * size * (period * (1 + scenario.loop_delay)) ** 2
     if (
         ended > _SLOW_LOOP_TICKS * period
         or fall < slow
@@ -260,7 +266,7 @@ def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
     try:
         with user_code(scenario), np.errstate(all="ignore"):
             time = sample_times(scenario.duration, scenario.controller.period)
-            motion = scenario.reference.evaluate(time)
+            motion = scenario.asked.evaluate(time)
             refuse_motion(robot, safety, gravity, time, motion)
             refuse_start(robot, safety, gravity, *scenario.start(), motion[0][0])
     except ControllerError as error:
@@ -272,7 +278,7 @@ def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
 
 
 def fit_amplitude(
-    robot: RobotParameters, limits: ReferenceLimits, reference: Reference, duration: float, gravity: float
+    robot: RobotParameters, limits: ReferenceLimits, reference: Reference, duration: float, gravity: Gravity
 ) -> tuple[Reference, float]:
     """The motion scaled about its centre to be feasible, and the scale [-], the largest one to a relative 1e-4."""
     if feasibility.check_reference(robot, limits, reference, duration, gravity).feasible:
@@ -283,7 +289,7 @@ def fit_amplitude(
 
 
 def fit_speed(
-    robot: RobotParameters, limits: ReferenceLimits, reference: Reference, duration: float, gravity: float
+    robot: RobotParameters, limits: ReferenceLimits, reference: Reference, duration: float, gravity: Gravity
 ) -> tuple[Reference, float]:
     """The motion slowed down to be feasible, and the slowdown >= 1 [-], the smallest one to a relative 1e-4.
 

@@ -84,7 +84,7 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
         raise ConfigurationError("controller.period", period, allowed)
     motion = PacedMotion(reference, reference.evaluate(0.0)[0], RAMP)
     start = plan_start(scenario, machine, motion, machine.read().angles, seconds)
-    report = check_reference(model.robot, scenario.limits, motion, start.duration, scenario.gravity)
+    report = check_reference(model.robot, scenario.limits, motion, start.duration, scenario.gravity_in_base)
     report.raise_if_infeasible()
     return start
 
@@ -103,7 +103,7 @@ def plan_start(scenario: Scenario, machine: Machine, motion: PacedMotion, angles
     # The peak speed of a minimum-jerk move is 1.875 times its mean.
     motion.begin(pose, max(RAMP, 1.875 * distance / APPROACH_SPEED))
     try:
-        check_reference(robot, scenario.limits, motion, motion.approach, scenario.gravity).raise_if_infeasible()
+        check_reference(robot, scenario.limits, motion, motion.approach, scenario.gravity_in_base).raise_if_infeasible()
     except InfeasibleReferenceError as error:
         allowed = f"a pose from which the motion can be reached ({error}){getattr(machine, 'first', '')}"
         raise ConfigurationError("start", np.round(pose, 4).tolist(), allowed) from None

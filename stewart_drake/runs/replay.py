@@ -15,9 +15,9 @@ import numpy as np
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog, distinct_names
-from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.mechanics.kinematics import inverse_kinematics, rotation_matrix
 from stewart_drake.plant.plant_options import DrakeOptions
-from stewart_drake.runs.scene import link_poses, robot_scene
+from stewart_drake.runs.scene import link_poses, on_base, robot_scene
 
 FRAME_RATE = 30.0  # [1/s]
 MAX_FRAMES = 9000  # Longer runs get a lower frame rate, so that a page stays small: a frame takes 0.5 kB.
@@ -62,7 +62,10 @@ def _replay_data(log: SimulationLog, name: str) -> dict[str, object]:
     time = log.time[usable]
     rate = min(FRAME_RATE, (MAX_FRAMES - 1) / time[-1]) if time[-1] > 0.0 else FRAME_RATE
     frames, rows = nearest_rows(time, rate)
-    links = _link_poses(log, usable[rows])
+    scene, links, base = robot_scene(log.scenario.robot), _link_poses(log, usable[rows]), log.scenario.base
+    if any(base.orientation) or base.motion is not None:
+        motion = log["base_motion"][usable[rows], 9:] if "base_motion" in log.signals else np.zeros((len(rows), 3))
+        scene, links = on_base(scene, links, rotation_matrix(np.array(base.orientation)) @ rotation_matrix(motion))
     points = usable[:: max(1, len(usable) // MAX_POINTS)]
     rotation, position = log.error_norms
     torque = log.signals.get("torque_applied", np.zeros((len(log.time), 0)))
@@ -71,7 +74,7 @@ def _replay_data(log: SimulationLog, name: str) -> dict[str, object]:
     lines += [(f"warning at {warning['time']:.3f} s: {warning['text']}", False) for warning in log.warnings]
     return {
         "name": name,
-        "scene": robot_scene(log.scenario.robot),
+        "scene": scene,
         "frames": (frames / rate).round(6).tolist(),
         "links": base64.b64encode(links.astype("<f4").tobytes()).decode(),
         "lines": lines,

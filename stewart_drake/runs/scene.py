@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -18,11 +19,12 @@ GHOST_COLOUR = (0.0, 0.62, 0.45, 0.25)  # The same, of a second robot at the ref
 
 def viewpoint(robot: RobotParameters) -> tuple[np.ndarray, np.ndarray]:
     """Camera position and target, (3,) [m] in B, that show the whole robot."""
-    height = robot.home_height - robot.base_height
+    up = robot.home_height - robot.base_height
+    height = abs(up)
     size = robot.base_radius + float(robot.crank_lengths.max()) + height
     # Tall robots with small platforms need room for the tool.
     size = max(size, 2.0 * (0.46 * height + 1.3 * robot.characteristic_length))
-    target = np.array([0.0, 0.0, robot.base_height + 0.54 * height])
+    target = np.array([0.0, 0.0, robot.base_height + 0.54 * up])
     direction = np.array([1.05, -0.80, 0.52])
     return target + 1.9 * size * direction / np.linalg.norm(direction), target
 
@@ -88,3 +90,15 @@ def link_poses(
     positions = np.concatenate([shafts, tips, pose[..., None, 3:], reference[..., None, 3:]], axis=-2)
     quaternions = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat().reshape(*rotations.shape[:-2], 4)
     return np.concatenate([positions, quaternions], axis=-1)
+
+
+def on_base(scene: dict[str, Any], links: np.ndarray, base: np.ndarray) -> tuple[dict[str, Any], np.ndarray]:
+    """Scene and links (n, m, 7) in B as a base with axes (n, 3, 3) in the world carries them; its origin stays."""
+    turns, places = Rotation.from_matrix(base), np.einsum("nij,nmj->nmi", base, links[..., :3])
+    carried = [turns * Rotation.from_quat(links[:, k, 3:]) for k in range(links.shape[1])]
+    own = np.concatenate([np.zeros((len(base), 3)), turns.as_quat()], axis=1)[:, None]
+    moved = np.concatenate([places, np.stack([turn.as_quat() for turn in carried], axis=1)], axis=-1)
+    shift = base[0] @ scene["target"] - scene["target"]
+    view = {name: (scene[name] + shift).tolist() for name in ("camera", "target")}
+    shapes = {"fixed": [], "links": {**scene["links"], "base": scene["fixed"]}}
+    return {**scene, **view, **shapes}, np.concatenate([moved, own], axis=1)

@@ -234,7 +234,7 @@ def _observe(
     trusted, torque = abs(observed.conditioning) > WEIGHT_TRUSTED.conditioning, np.empty(6)
     for i in range(6):
         trusted = trusted and observed.transmission[i] > WEIGHT_TRUSTED.transmission
-    if trusted and static_torque(robot, legs, params.gravity, torque):
+    if trusted and static_torque(robot, legs, params.base[:], torque):
         copy_to(state.weight[:], torque)
 
 

@@ -9,14 +9,14 @@ import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Matrix, Record, Vec2, Vec6, record
+from stewart_drake.base.records import Matrix, Record, Vec2, Vec6, Vec9, record
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import inverse_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import copy_to, set_to
 from stewart_drake.mechanics.singularities import WEIGHT_TRUSTED, PoseMeasures, crank_speeds, measure_pose
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters, base_reading
 from stewart_drake.safety.options import (
     CRANK_SPEED,
     FOLLOWING,
@@ -63,7 +63,7 @@ class SafetyParams(Record):
     """Numbers of `SafetyOptions`, infinite for a limit that is off, and what follows from them."""
 
     period: float  # [s]
-    gravity: float  # [m/s^2]
+    base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     horizon: float  # [s]
     home: Vec6  # [rad, m]
     deadline: float  # [ticks]
@@ -97,7 +97,7 @@ class Observed(PoseMeasures):
 
 
 def safety_params(
-    robot: RobotParameters, options: SafetyOptions, gravity: float, period: float, noise: float = NOISE
+    robot: RobotParameters, options: SafetyOptions, gravity: Gravity, period: float, noise: float = NOISE
 ) -> SafetyParams:
     """The parameters of the layer, for ticks of a period [s] and noise [rad] of a crank's angle."""
     rate, share = options.torque_rate, options.torque_limit
@@ -105,7 +105,7 @@ def safety_params(
     return SafetyParams.new(
         options,
         period=period,
-        gravity=gravity,
+        base=base_reading(gravity),
         home=robot.home_pose,
         torque_limit=(math.inf if share is None else share) * robot.effort_limits,
         torque_change=math.inf if rate is None else rate * period,
@@ -123,7 +123,7 @@ def safety_params(
 
 
 def _residual_params(
-    robot: RobotParameters, options: SafetyOptions, gravity: float, period: float, noise: float
+    robot: RobotParameters, options: SafetyOptions, gravity: Gravity, period: float, noise: float
 ) -> ResidualParams:
     bound = (math.inf if options.unexplained_torque is None else options.unexplained_torque) * robot.effort_limits
     inertia = np.linalg.inv(pose_jacobian(robot, robot.home_pose) @ pose_acceleration_map(robot, robot.home_pose))
@@ -132,7 +132,7 @@ def _residual_params(
     half = min(LONGEST_HALF, max(2, math.ceil(math.sqrt(SIGMAS * largest / bound.min()) / period)))
     return ResidualParams.new(
         period=period,
-        gravity=gravity,
+        base=base_reading(gravity),
         half=half,
         unexplained=bound,
         unexplained_alone=ONE_LEG_SHARE * bound.min(),
@@ -261,7 +261,7 @@ def sample_times(duration: float, period: float) -> np.ndarray:
 def refuse_motion(
     robot: RobotParameters,
     options: SafetyOptions,
-    gravity: float,
+    gravity: Gravity,
     time: np.ndarray,
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
 ) -> None:
@@ -292,7 +292,7 @@ def refuse_motion(
 def refuse_start(
     robot: RobotParameters,
     options: SafetyOptions,
-    gravity: float,
+    gravity: Gravity,
     pose: np.ndarray,
     pose_rate: np.ndarray,
     reference: np.ndarray,

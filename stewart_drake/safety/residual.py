@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat6, Record, Vec2, Vec6, Vec12
+from stewart_drake.base.records import Mat6, Record, Vec2, Vec6, Vec9, Vec12
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import motion_torque, task_inertia
 from stewart_drake.mechanics.friction import Friction
@@ -50,7 +50,7 @@ class ResidualParams(Record):
     """Parameters of residual and observers."""
 
     period: float  # [s]
-    gravity: float  # [m/s^2]
+    base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     half: float  # [ticks] of half a window.
     unexplained: Vec6  # [N m] bound on a residual, besides friction.
     unexplained_alone: float  # [N m] the same where one leg or two dominate.
@@ -113,7 +113,7 @@ def update_residual(
     holding, mobility = np.empty(6), np.zeros((6, 6))
     copy_to(motion[:6], centre if whole else pose)
     known = all_finite(motion) and laws.legs_at(robot, motion[:6], legs) < 0
-    known = known and motion_torque(robot, legs, motion, acceleration, params.gravity, holding)
+    known = known and motion_torque(robot, legs, motion, acceleration, params.base[:], holding)
     if not (known and _mobility(robot, legs, mobility)):
         copy_to(state.angles[:], angles)
         return
@@ -180,7 +180,7 @@ def _compare(
 ) -> None:
     """Residual: torques sent, less inverse dynamics of a motion and viscous friction at the speeds of the cranks."""
     half, need = int(params.half), np.empty(6)
-    motion_torque(robot, legs, motion, acceleration, params.gravity, need)
+    motion_torque(robot, legs, motion, acceleration, params.base[:], need)
     for i in range(6):
         for row in range(2 * half):
             share = (min(row, 2 * half - 1 - row) + 0.5) / (half * half)

@@ -17,17 +17,21 @@ from stewart_drake.base.jit import njit
 from stewart_drake.base.keys import join_or
 from stewart_drake.base.records import Record, Vec6, record
 from stewart_drake.control.base import LEARNT_SIGNALS, TRACKING_ERROR, AdaptationOptions
+from stewart_drake.control.base_reading import informed, level_part
 from stewart_drake.control.feedforward import lead_part
 from stewart_drake.control.friction_compensation import FrictionCompensation, standing_torque
 from stewart_drake.control.observer import SMALLEST_NOISE
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.motors import delay_part
+from stewart_drake.hardware.moving_base import base_signal
 from stewart_drake.loop.part import NOTHING, LoopContext, Part
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.safety import SafetyOptions, safety_part
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
 
+_UNTURNED = "unturned_"
+"""Before the name of a reference's signal, before it is turned against a moving base."""
 Signal = str | np.ndarray
 """Name of a signal, or constant numbers in its place."""
 
@@ -70,7 +74,7 @@ class Loop(NamedTuple):
     """
 
     parts: tuple[Part, ...]  # In order.
-    sources: tuple[Source, ...]  # Sources of the controller's side; with disturbances also `wrench` (6,).
+    sources: tuple[Source, ...]  # Of the controller's side; `wrench`, `base`.
     torque: str  # Name of the signal (6,) [N m] that the motors give the plant.
     logged: Mapping[str, str | np.ndarray]  # See `ControlSide.logged`.
     inputs: Mapping[str, np.ndarray] = NOTHING  # Signals from outside, with their first values.
@@ -82,15 +86,17 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
     With `split` an LQI takes the compiled solution of its Riccati equation in any case. Raises as `control_side`.
     """
     sensors = sensor_parts(scenario)
-    side = control_side(scenario, split, "reading" if sensors else "plant_pose")
-    pushes, logged = _pushes(scenario), dict(side.logged)
-    if pushes:
-        logged["disturbance"] = "wrench"
+    side = control_side(scenario, split, "reading" if sensors else "plant_pose", scenario.base.sensor is not None)
+    outside, logged = _outside(scenario), dict(side.logged)
+    names = {"wrench": "disturbance", "base_motion": "base_motion"}
+    logged |= {names[source.signal]: source.signal for source in outside if source.signal in names}
     way = command_path(scenario, side.command, side.initial_command, side.context.period, side.safety)
     logged["torque_applied"] = "motor_torque"
     if side.safety is not None:
         logged["safety"] = "safety"
-    return Loop((*sensors, *side.parts, *way, *side.at_end), (*side.sources, *pushes), "motor_torque", logged)
+    of_base = scenario.base.sensor_parts(scenario.gravity_in_base, side.context.period, scenario.plant.time_step)
+    parts = *sensors, *of_base, *side.parts, *way, *side.at_end
+    return Loop(parts, (*side.sources, *outside), "motor_torque", logged)
 
 
 def machine_side(scenario: Scenario) -> Loop:
@@ -102,12 +108,20 @@ def machine_side(scenario: Scenario) -> Loop:
     first = scenario.controller_model.motors.initial_command(context_of(scenario, split=True))
     way = [part._replace(end_of_tick=True) for part in command_path(scenario, "command", first, step)]
     reading = {"reading": "reading" if sensors else "plant_pose"}
-    return Loop((*sensors, *way), _pushes(scenario), "motor_torque", reading, {"command": first})
+    return Loop((*sensors, *way), _outside(scenario), "motor_torque", reading, {"command": first})
 
 
-def _pushes(scenario: Scenario) -> tuple[Source, ...]:
-    pushes = scenario.disturbances
-    return (Source("wrench", 6, lambda times: total_wrench(pushes, times)),) if pushes else ()
+def _outside(scenario: Scenario) -> tuple[Source, ...]:
+    """External wrenches; and the motion of the base, `base` in the middle of a step of the plant."""
+    pushes, base, sources = scenario.disturbances, scenario.base, list[Source]()
+    if pushes:
+        sources.append(Source("wrench", 6, lambda times: total_wrench(pushes, times)))
+    if (motion := base.motion) is not None:
+        base.check()
+        gravity, half = scenario.gravity_in_base, 0.5 * scenario.plant.time_step
+        sources.append(Source("base", 9, lambda times: base_signal(motion, gravity, times + half)[:, :9]))
+        sources.append(Source("base_motion", 12, lambda times: base_signal(motion, gravity, times)))
+    return tuple(sources)
 
 
 def sensor_parts(scenario: Scenario) -> list[Part]:
@@ -164,8 +178,10 @@ def command_path(
     return [*parts, motors.connected(command=command).named(torque="motor_torque")]
 
 
-def control_side(options: ControlOptions, split: bool = False, reading: str = "reading") -> ControlSide:
-    """The controller's side, from its options alone; it reads the signal `reading`.
+def control_side(
+    options: ControlOptions, split: bool = False, reading: str = "reading", senses_base: bool = False
+) -> ControlSide:
+    """The controller's side, from its options alone; it reads the signal `reading`, and maybe `base_reading`.
 
     Raises:
         ConfigurationError: A weights file that is missing or corrupt; a user's code that cannot be used; an observer
@@ -174,6 +190,9 @@ def control_side(options: ControlOptions, split: bool = False, reading: str = "r
     if split and getattr(options.controller, "solver", None) == "drake":
         allowed = "split, or null for what runs without Drake: the closed form, and Controller"
         raise ConfigurationError("controller.solver", "drake", allowed)
+    if options.base_compensation != "none" and not senses_base:
+        allowed = "none, for a controller without a simulation: nothing gives it the motion of the base"
+        raise ConfigurationError("base_compensation", options.base_compensation, allowed)
     return wire(options, context_of(options, split), reading)
 
 
@@ -214,8 +233,8 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
     if reading != "plant_pose":
         logged["reading" if context.reading == 6 else "pose_reading"] = reading
 
-    sources = _references(options)
-    reference = sources[-1].signal
+    sources, levels = _references(options)
+    reference = sources[-1].signal.removeprefix(_UNTURNED)
 
     # Estimator: from a reading to pose and rate, now and when a command will act.
     period = options.estimator.period
@@ -295,7 +314,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
                 estimator = [made.connected(disturbance=part.signal("disturbance")) for made in estimator]
 
     law = _reporting(law, "controller_health", safety)
-    parts = [*estimator, *lead, tracking_error, law, *additions, *inverse, *density]
+    parts = [*levels, *estimator, *lead, tracking_error, law, *additions, *inverse, *density]
 
     # Safety layer: its input is the command that arrives at the motors.
     layer = []
@@ -308,7 +327,10 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
         seen |= {signal: signal for part in parts if (signal := part.signal("health")) != "health"}
         layer = [safety_part(safety, context).connected(**seen).named(torque="safe_torque")]
 
-    # Adaptive laws write parameters of all these parts.
+    # A sensor of the base writes parameters of all these parts, and so do adaptive laws.
+    if options.base_compensation != "none":
+        (parts, writers), (layer, more), (end, others) = informed(parts), informed(layer), informed(end)
+        parts = [*writers, *more, *others, *parts]
     if adaptation is not None:
         at = law_inputs | {"reading": reading, "command": command}
         laws = [part.connected(**at)._replace(end_of_tick=True) for part in adaptation.parts(context)]
@@ -323,15 +345,22 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
     return ControlSide(context, *ends, logged)
 
 
-def _references(options: ControlOptions) -> tuple[Source, ...]:
-    """The reference as it is now and, where the controller looks ahead, as it is when its command acts."""
+def _references(options: ControlOptions) -> tuple[tuple[Source, ...], list[Part]]:
+    """The reference as it is now and, where the controller looks ahead, as it is when its command acts.
+
+    With the parts that turn it against a moving base.
+    """
 
     def motion(times: np.ndarray) -> np.ndarray:
         return np.concatenate(options.reference.evaluate(times), axis=-1)
 
-    now, preview = Source("reference", 18, motion), options.preview
-    ahead = Source("reference_ahead", 18, lambda times: motion(times + preview))
-    return (now, ahead) if preview > 0.0 else (now,)
+    level = options.base_compensation == "level"
+    prefix, preview = _UNTURNED if level else "", options.preview
+    now = Source(f"{prefix}reference", 18, motion)
+    ahead = Source(f"{prefix}reference_ahead", 18, lambda times: motion(times + preview))
+    sources = (now, ahead) if preview > 0.0 else (now,)
+    leads = zip(sources, (0.0, preview), strict=False)
+    return sources, [level_part(s.signal, s.signal.removeprefix(prefix), lead) for s, lead in leads if level]
 
 
 def _reporting(part: Part, health: str, safety: SafetyOptions | None) -> Part:

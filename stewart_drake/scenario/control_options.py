@@ -36,7 +36,7 @@ from stewart_drake.hardware.wiring import ServoOptions
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.references import AnyReference, RecordedReference, SineReference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LARGEST_SIZE
+from stewart_drake.robot.gravity import FixedGravity, GravityKey, Orientation, turned_gravity
 from stewart_drake.robot.robot_files import AnyRobot
 from stewart_drake.robot.robot_scale import PAPER, defaults_of
 from stewart_drake.safety import SafetyOptions
@@ -48,8 +48,10 @@ class ModelOptions(Section, key="model"):
 
     robot: AnyRobot | None = None
     """The robot of the model; null for the simulated one. Keys that are not given are those of `robot`."""
-    gravity: Annotated[NotNegative, Field(le=LARGEST_SIZE)] | None = None
-    """[m/s^2] gravity, along -z of the base frame B; null for the simulated one."""
+    gravity: GravityKey | None = None
+    """[m/s^2] gravity, as in a scenario; null for the simulated one."""
+    orientation: Orientation | None = None
+    """[rad] roll, pitch, yaw of the base in the world; null for `base.orientation`."""
     friction: FrictionCompensation | None = None
     """Friction of the motors, which is compensated; null for none."""
     reading: Literal["angles", "pose"] | None = None
@@ -76,7 +78,7 @@ class Model(NamedTuple):
     """The controller's model of the machine: `ModelOptions` with all values."""
 
     robot: RobotParameters
-    gravity: float  # [m/s^2].
+    gravity: FixedGravity  # [m/s^2] in B.
     friction: FrictionCompensation | None
     reading: Literal["angles", "pose"]
     noise: float  # [rad] of a crank's angle.
@@ -121,6 +123,9 @@ class ControlOptions(Section):
     """What is learnt while the robot runs; null for nothing."""
     safety: SafetyOptions | None = None
     """The safety layer between controller and motors; null for none."""
+    base_compensation: Literal["none", "torques", "level"] = "none"
+    """Use of the reading of `base.sensor`. torques: feedforward, observer and safety layer know the motion of the base.
+    level: also the reference, whose angles are then those on a base at rest: the platform stays level on a ship."""
 
     @classmethod
     def _read(cls, data: object, reading: Reading, key: str | None = None, **details: object) -> Self:
@@ -169,9 +174,17 @@ class ControlOptions(Section):
         return Model(PAPER, STANDARD_GRAVITY, None, "angles", 0.0, 0, TorqueMotors())
 
     @property
+    def nominal_gravity(self) -> tuple[FixedGravity, Orientation]:
+        """Gravity [m/s^2] in the world and orientation of the base, where `model` has none."""
+        return STANDARD_GRAVITY, (0.0, 0.0, 0.0)
+
+    @property
     def controller_model(self) -> Model:
         """`model` with all values."""
         given = {name: getattr(self.model, name) for name in Model._fields}
+        gravity, orientation = self.nominal_gravity
+        turned = orientation if self.model.orientation is None else self.model.orientation
+        given["gravity"] = turned_gravity(gravity if self.model.gravity is None else self.model.gravity, turned)
         model = self.default_model._replace(**{name: value for name, value in given.items() if value is not None})
         if model.friction is None and self.adaptation is not None:
             # Adaptation starts without friction, and needs the part that compensates it.

@@ -21,14 +21,14 @@ from pydantic import Field
 from stewart_drake.base.config import Positive, Section
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat6, Matrix, Vec3, Vec6, Vector, record
+from stewart_drake.base.records import Mat6, Matrix, Vec3, Vec6, Vec9, Vector, record
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.dynamics_laws import loads, twists_of_motion
 from stewart_drake.mechanics.kinematics import over_rows
 from stewart_drake.mechanics.kinematics_laws import LEGS, Legs, Robot, cross, dot, robot_record, turned
 from stewart_drake.mechanics.linear_algebra import set_to
 from stewart_drake.mechanics.singularities import PLANNED, PoseMeasures, measure_pose
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters, base_reading
 from stewart_drake.robot.leg import JOINT_SWING
 from stewart_drake.robot.robot_scale import LENGTH
 
@@ -154,7 +154,7 @@ def limit_margins(
     pose: np.ndarray,
     pose_rate: np.ndarray,
     pose_acceleration: np.ndarray,
-    gravity: float,
+    gravity: Gravity,
 ) -> dict[str, np.ndarray]:
     """Margins (n, k) of a motion (n, 6) to the limits that are on, by `PLACES`; NaN where a rod cannot span."""
     m = measure(robot, pose, pose_rate, pose_acceleration, gravity)
@@ -224,16 +224,16 @@ _BLOCK = 1 << 16  # poses whose measures are kept at a time
 
 
 def measure(
-    robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray, pose_acceleration: np.ndarray, gravity: float
+    robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray, pose_acceleration: np.ndarray, gravity: Gravity
 ) -> np.ndarray:
     """`Measures` records (n,) of a motion (n, 6)."""
     motion = [np.array(rows, dtype=float, order="C") for rows in (pose, pose_rate, pose_acceleration)]
     measures = np.full((len(motion[0]), Measures.layout.itemsize // 8), np.nan).view(Measures.layout)[:, 0]
-    over_rows(_measure, (robot_record(robot), float(gravity), 2.0 * robot.link_radius), (*motion, measures))
+    over_rows(_measure, (robot_record(robot), base_reading(gravity), 2.0 * robot.link_radius), (*motion, measures))
     return measures
 
 
-def measure_poses(robot: RobotParameters, pose: np.ndarray, gravity: float = STANDARD_GRAVITY) -> np.recarray:
+def measure_poses(robot: RobotParameters, pose: np.ndarray, gravity: Gravity = STANDARD_GRAVITY) -> np.recarray:
     """`POSE_MEASURES` records (n,) at poses (n, 6) [rad, m]."""
     pose = np.asarray(pose, dtype=float)
     if pose.ndim != 2 or pose.shape[1] != 6 or not np.isfinite(pose).all():
@@ -358,7 +358,7 @@ def strength(legs: Legs, inverse: Mat6, torque: Vec6, limit: Vec6) -> tuple[floa
 
 @njit
 def _measure(
-    robot: Robot, gravity: float, thickness: float, poses: Matrix, rates: Matrix, accelerations: Matrix, out: Measures
+    robot: Robot, base: Vec9, thickness: float, poses: Matrix, rates: Matrix, accelerations: Matrix, out: Measures
 ) -> None:
     """Fills `Measures` records (n,), which are NaN before."""
     robot, inverse = record(robot), np.empty((6, 6))
@@ -386,7 +386,7 @@ def _measure(
             set_to(m.torque[:], np.inf)
             m.force, m.moment = 0.0, 0.0
             continue
-        loads(robot, legs, twist, twist_rate, gravity, wrench, of_cranks)
+        loads(robot, legs, twist, twist_rate, base, wrench, of_cranks)
         for i in range(6):
             force = 0.0
             for k in range(6):

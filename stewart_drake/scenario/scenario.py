@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar
 
+import numpy as np
 from pydantic import Field, TypeAdapter
 
 from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.code import anchored
 from stewart_drake.base.config import (
     Count,
-    NotNegative,
     Positive,
     Reading,
     to_plain,
@@ -22,14 +23,17 @@ from stewart_drake.base.families import user_parts
 from stewart_drake.base.registry import MOTORS, OWN_METRICS, PLANTS, SENSORS
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.base.yaml_files import find_file, parse_changes, read_mapping
+from stewart_drake.control.base_reading import LevelReference
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.motors import LinkOptions, MotorOptions, TorqueMotors
+from stewart_drake.hardware.moving_base import BaseOptions, base_signal
 from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.plant.plant_options import DrakeOptions, PlantOptions
 from stewart_drake.references import RecordedReference
+from stewart_drake.references.motions import Reference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.leg import LARGEST_SIZE
+from stewart_drake.robot.gravity import FixedGravity, GravityKey, Orientation, gravity_text, turned_gravity
 from stewart_drake.robot.robot_files import AnyRobot
 from stewart_drake.robot.robot_scale import PAPER
 from stewart_drake.scenario.control_options import ControlOptions, Model
@@ -53,8 +57,11 @@ class Scenario(ControlOptions):
     duration: Annotated[Positive, Field(le=1e6)] = 10.0
     """[s] simulated time; that of a recorded motion where it is not given. The run ends with the last whole step of the
     plant, at most 1e9 of them."""
-    gravity: Annotated[NotNegative, Field(le=LARGEST_SIZE)] = STANDARD_GRAVITY
-    """[m/s^2] gravity, along -z of the base frame B; 0 for none."""
+    gravity: GravityKey = STANDARD_GRAVITY
+    """[m/s^2] gravity in the world, whose axes are those of the base frame B where `base` does not turn it: a number
+    along -z, 0 for none, negative where the robot hangs; or three numbers."""
+    base: BaseOptions = Field(default_factory=BaseOptions)
+    """Where the base is: tilted, hanging, or in motion; and the sensor of its motion."""
     robot: AnyRobot = Field(default_factory=lambda: PAPER)
     """The simulated robot: geometry, masses and limits; a section, a robot's name, or a YAML file with the same
     keys."""
@@ -98,7 +105,7 @@ class Scenario(ControlOptions):
         weighted = self.controller.weighted or self.controller.code is not None
         safety = "none" if self.safety is None else f"{len(self.safety.monitor_names) - 1} monitors"
         return (
-            f"Scenario {self.name}: {self.duration:g} s, gravity {self.gravity:g} m/s^2\n"
+            f"Scenario {self.name}: {self.duration:g} s, gravity {gravity_text(self.gravity_in_base)} m/s^2\n"
             f"  reference: {kinds([self.reference])}\n"
             f"  controller: {self.controller.kind}, a tick every {self.controller.period:g} s\n"
             f"  tuner: {self.tuner.kind if weighted else 'none'}\n"
@@ -115,7 +122,29 @@ class Scenario(ControlOptions):
         """The simulated machine without faults, friction and payload."""
         readings, motors = self.sensors, self.motors.nominal
         read = readings.reading, readings.reading_noise
-        return Model(self.robot, self.gravity, None, *read, self.command_delay, motors, readings.delay)
+        return Model(self.robot, self.gravity_in_base, None, *read, self.command_delay, motors, readings.delay)
+
+    @property
+    def asked(self) -> Reference:
+        """The reference as the robot is asked to follow it, turned against a moving base where the controller does."""
+        if self.base_compensation != "level" or self.base.motion is None:
+            return self.reference
+        return LevelReference(self.reference, partial(base_signal, self.base.motion, self.gravity_in_base))
+
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pose (6,) and pose rate (6,) at t = 0, of the reference as asked."""
+        pose, rate, _ = self.asked.evaluate(0.0)
+        return pose + np.array(self.initial_offset), rate
+
+    @property
+    def nominal_gravity(self) -> tuple[FixedGravity, Orientation]:
+        """Those of the simulation."""
+        return self.gravity, self.base.orientation
+
+    @property
+    def gravity_in_base(self) -> FixedGravity:
+        """[m/s^2] gravity in B, at its mean position: a number along -z, or a vector."""
+        return turned_gravity(self.gravity, self.base.orientation)
 
     def control(self) -> ControlOptions:
         """The controller's side alone, with `model` in full, for use on a machine."""
@@ -145,6 +174,10 @@ class Scenario(ControlOptions):
         if motors.code is None and model_motors.command_quantity != motors.command_quantity:
             allowed = f"motors that take {motors.command_quantity} [{motors.unit}], as `motors` do"
             raise ConfigurationError("model.motors.kind", model_motors.kind, allowed)
+        if not self.plant.base_moves:
+            self.base.refuse_motion(f"plant.kind {self.plant.kind}")
+        if self.base_compensation != "none" and self.base.sensor is None:
+            raise ConfigurationError("base_compensation", self.base_compensation, "none, without base.sensor")
         steps_per("controller.period", self.controller.period, self.plant.time_step)
         steps_per("estimator.period", self.reading_period, self.plant.time_step)
         largest = MAX_STEPS * self.plant.time_step

@@ -46,14 +46,19 @@ class SteppedLoop:
             raise ConfigurationError("plant.kind", scenario.plant.kind, allowed)
         time_step, self.now = scenario.plant.time_step, 0
         self._step = on_grid(time_step)
-        self.plant = scenario.plant.make(scenario.robot, scenario.gravity) if plant is None else plant
-        evaluated = {source.signal: InBlocks(source.evaluate, time_step).at for source in self.parts.sources}
-        evaluated |= sources or {}
+        self.plant = scenario.plant.make(scenario.robot, scenario.gravity_in_base) if plant is None else plant
+        evaluated: dict[str, Callable[[int], np.ndarray]] = {
+            source.signal: InBlocks(source.evaluate, time_step).at for source in self.parts.sources
+        }
+        for name, replacing in (sources or {}).items():
+            unturned = f"unturned_{name}"
+            evaluated[unturned if unturned in evaluated else name] = replacing
         outside = {"measured": 24, "wrench": 6, **{source.signal: source.size for source in self.parts.sources}}
         outside |= {name: len(first) for name, first in self.parts.inputs.items()}
         inside = {"plant_pose": slice(POSE.start, RATE.stop), "crank_state": slice(ANGLES.start, CRANK_RATES.stop)}
         self.runner = LoopRunner(self.parts.parts, outside, inside, scenario.controller.period, time_step)
         self.measured, self._wrench = self.runner.signal("measured"), self.runner.signal("wrench")
+        self._base = self.runner.signal("base") if "base" in outside else None
         self.torque = self.runner.signal(self.parts.torque)
         self._sources = [(self.runner.signal(name), evaluate) for name, evaluate in evaluated.items()]
 
@@ -85,6 +90,8 @@ class SteppedLoop:
     def move(self) -> None:
         """Runs the parts that update at the end of a tick, then moves the plant by one step."""
         self.runner.end(self.now)
+        if self._base is not None:
+            self.plant.set_base(self._base)
         try:
             self.measured[:] = self.plant.step(self.torque, self._wrench)
         except RunFailure as failure:

@@ -247,7 +247,7 @@ def _response_runs(bands: Bands, seed: int, base: Scenario, parts: _Parts, quick
     runs: list[_Run] = []
     for axis, frequency in itertools.product(bands.axes, frequencies):
         place = COORDINATES.index(axis)
-        largest = largest_amplitude(plain.robot, plain.limits, place, frequency, plain.gravity)
+        largest = largest_amplitude(plain.robot, plain.limits, place, frequency, plain.gravity_in_base)
         amplitude = min(MAX_AMPLITUDE[place], 0.5 * largest)
         if amplitude <= 0.0:
             allowed = f"frequencies at which {axis} can move within the limits"

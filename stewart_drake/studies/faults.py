@@ -242,7 +242,7 @@ def _braked(log: SimulationLog) -> np.ndarray:
         return np.empty((0, 6))
     open_for = 0 if log.status == "stopped" else round(BRAKE_DELAY / step)
     variants = options, options.braked(robot)
-    plant, braked = (ClosedForm(robot, variant, scenario.gravity) for variant in variants)
+    plant, braked = (ClosedForm(robot, variant, scenario.gravity_in_base) for variant in variants)
     zero = np.zeros(6)
     # Poses end at a singularity.
     with suppress(StewartDrakeError):
@@ -277,7 +277,7 @@ def _held(log: SimulationLog) -> Row:
     pose, robot = log["pose"][row], scenario.robot
     shares = robot.effort_shares
     try:
-        weight, jacobian = static_torque(robot, pose, scenario.gravity), twist_jacobian(robot, pose)
+        weight, jacobian = static_torque(robot, pose, scenario.gravity_in_base), twist_jacobian(robot, pose)
         # Torques as shares of the motors' limits.
         load = holdable_load(weight / shares, shares[:, None] * jacobian, robot.effort_limit, dead.leg)
     except (UnreachablePoseError, np.linalg.LinAlgError):

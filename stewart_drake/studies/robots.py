@@ -10,7 +10,7 @@ import numpy as np
 
 from stewart_drake.base.config import to_plain
 from stewart_drake.references import AdjustedReference, HoldReference, Reference, SumReference, center_of
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.robot_scale import LENGTH, PAPER
 from stewart_drake.runs.checks import adjusted, fit_amplitude
 from stewart_drake.scenario.limits import ReferenceLimits
@@ -37,7 +37,7 @@ def scale_to_robot(changes: Mapping[str, object], base: Scenario) -> dict[str, o
     if "reference" in scaled:
         moved = base.replace({key: scaled[key] for key in ("reference", "duration") if key in scaled})
         reference: Any = moved.reference
-        fitted = _fit_reference(base.robot, base.limits, reference, moved.duration, base.gravity)
+        fitted = _fit_reference(base.robot, base.limits, reference, moved.duration, base.gravity_in_base)
         scaled["reference"] = to_plain(fitted)
     return scaled
 
@@ -74,7 +74,7 @@ def _factor(section: str, key: str, robot: RobotParameters) -> float | np.ndarra
 
 @lru_cache(maxsize=64)
 def _fit_reference(
-    robot: RobotParameters, limits: ReferenceLimits, reference: Any, duration: float, gravity: float
+    robot: RobotParameters, limits: ReferenceLimits, reference: Any, duration: float, gravity: Gravity
 ) -> Reference:
     """A motion about the robot's home pose, made smaller if it is not feasible."""
     home = tuple(robot.home_pose.tolist())

@@ -49,9 +49,9 @@ def controlled_motions(base: Scenario, quick: bool = False) -> dict[str, Scenari
 
     references = {}
     for axis in (4,) if quick else (1, 2, 3, 4):
-        size = AMPLITUDE_SHARE * largest_amplitude(*of_robot, axis, 1.0, base.gravity)
+        size = AMPLITUDE_SHARE * largest_amplitude(*of_robot, axis, 1.0, base.gravity_in_base)
         references[f"{COORDINATES[axis]} at 1 Hz"] = sine_of(size * np.eye(6)[axis], [2.0 * np.pi] * 6)
-    scale = AMPLITUDE_SHARE * largest_scale(*of_robot, all_axes, short["duration"], base.gravity)
+    scale = AMPLITUDE_SHARE * largest_scale(*of_robot, all_axes, short["duration"], base.gravity_in_base)
     references["all six axes"] = all_axes(scale)
     motions = {first: base.replace(whole), "the same without gravity, weights 1/1": base.replace(whole | without)}
     motions |= {
@@ -89,10 +89,10 @@ def visited(log: SimulationLog) -> Visited:
     within = reach_margin(robot, log["pose"]).min(axis=-1) > 0.0
     rates[within] = np.einsum("nij,nj->ni", pose_jacobian(robot, log["pose"][within]), log["pose_rate"][within])
     motion = (log["reference"], log["reference_rate"], log["reference_acceleration"])
-    torque, needed = log["torque_applied"], inverse_dynamics(robot, *motion, scenario.gravity)
+    torque, needed = log["torque_applied"], inverse_dynamics(robot, *motion, scenario.gravity_in_base)
 
     def worst(pose: np.ndarray) -> tuple[float | None, str]:
-        measures = measure_poses(robot, pose, scenario.gravity)
+        measures = measure_poses(robot, pose, scenario.gravity_in_base)
         use, cause = governing_limit(utilisation(robot, scenario.limits, pose, measures))
         row = int(use.argmax())
         return float(use[row]) if np.isfinite(use[row]) else None, LIMIT_NAMES[cause[row]]

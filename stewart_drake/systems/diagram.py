@@ -25,9 +25,11 @@ from stewart_drake.base.keys import join_or
 from stewart_drake.base.sampling import InBlocks, on_grid, steps_per
 from stewart_drake.hardware.motors import limit_torque
 from stewart_drake.loop.part import Part
+from stewart_drake.plant.base_forces import BaseForces
 from stewart_drake.plant.multibody_plant import StewartRobot, add_plant
 from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.plant.servo_friction import connect_besides
+from stewart_drake.robot.gravity import same_gravity
 from stewart_drake.scenario.assembly import Source, loop_of
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.systems.library import PlatformWrench, ScenarioInput, TaskSpaceSensor, TimeSource, system_of
@@ -83,7 +85,7 @@ class ClosedLoop(Diagram):
         if not isinstance(scenario.plant, DrakeOptions):
             raise ConfigurationError("plant.kind", scenario.plant.kind, "drake, for a Diagram")
         builder, shown = DiagramBuilder(), visuals or meshcat is not None
-        truth = scenario.robot, scenario.plant, scenario.gravity
+        truth = scenario.robot, scenario.plant, scenario.gravity_in_base
         self.plant: StewartRobot = add_plant(builder, *truth, visuals=shown, before_finalize=before_finalize)
         added = add_loop(builder, scenario, self.plant, inputs=inputs, outputs=outputs)
         self.scenario, self.loop, self.systems = scenario, added.loop, added.systems
@@ -185,9 +187,9 @@ class LoopSystems:
             expected, given = scenario.robot.to_dict(), robot.robot.to_dict()
             others = ", ".join(key for key in expected if expected[key] != given[key])
             raise ConfigurationError("scenario.robot", f"another {others}", "the robot of the plant")
-        gravity = float(np.linalg.norm(robot.plant.gravity_field().gravity_vector()))
-        if scenario.plant != robot.options or scenario.gravity != gravity:
-            scenario = scenario.replace({"plant": robot.options, "gravity": gravity})
+        if scenario.plant != robot.options or not same_gravity(scenario.gravity_in_base, robot.gravity):
+            turned = {"base.orientation": (0.0, 0.0, 0.0)} if any(scenario.base.orientation) else {}
+            scenario = scenario.replace({"plant": robot.options, "gravity": robot.gravity, **turned})
         self.scenario, self.loop = scenario, loop_of(scenario)
         self._builder, self._prefix = builder, f"{name}_" if name else ""
         self.systems: dict[str, System] = {}
@@ -215,12 +217,20 @@ class LoopSystems:
         if "wrench" in self._signals:
             push = self._add("push", PlatformWrench(robot))
             builder.Connect(self._signals["wrench"], push.wrench)
-            both = ExternallyAppliedSpatialForceMultiplexer(2)
-            connect_besides(builder, push.spatial_force, robot.plant.get_applied_spatial_force_input_port(), both)
+            self._apply(robot, push.spatial_force)
+        if "base" in self._signals:
+            moved = self._add("base_forces", BaseForces(robot))
+            builder.Connect(robot.state_output_port, moved.plant_state)
+            builder.Connect(self._signals["base"], moved.base)
+            self._apply(robot, moved.spatial_force)
         for part in self.loop.parts:
             self._connect(part)
         builder.Connect(self._signals[self.loop.torque], robot.torque_input_port)
         self.outputs = {output: self._port(output, signal) for output, signal in self.logged.items()}
+
+    def _apply(self, robot: StewartRobot, forces: OutputPort) -> None:
+        both = ExternallyAppliedSpatialForceMultiplexer(2)
+        connect_besides(self._builder, forces, robot.plant.get_applied_spatial_force_input_port(), both)
 
     def _add(self, name: str, system: _System) -> _System:
         name = f"{self._prefix}{name}"

@@ -16,7 +16,6 @@ from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues, InputPort, LeafSystem, OutputPort, State
 
 from stewart_drake.base.arguments import checked
-from stewart_drake.base.config import NotNegative, check_value
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure, drake_guard
 from stewart_drake.base.keys import join_or
 from stewart_drake.base.sampling import just_before, on_grid
@@ -29,6 +28,7 @@ from stewart_drake.plant.context_parameters import WithParameters
 from stewart_drake.plant.multibody_plant import StewartRobot
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
+from stewart_drake.robot.gravity import Gravity, check_gravity
 from stewart_drake.scenario.assembly import loop_of
 from stewart_drake.scenario.scenario import Scenario
 
@@ -215,10 +215,10 @@ class LqiController(PartSystem):
     """
 
     @checked
-    def __init__(self, robot: RobotParameters, options: LqiOptions, gravity: float, weights: int = 2) -> None:
+    def __init__(self, robot: RobotParameters, options: LqiOptions, gravity: Gravity, weights: int = 2) -> None:
         if weights not in (2, 4):
             raise ConfigurationError("weights", weights, "2 or 4")
-        check_value("gravity", gravity, NotNegative)
+        check_gravity(gravity)
         super().__init__(lqi_part(options, robot, gravity, weights), options.period)
 
 

@@ -23,7 +23,7 @@ from stewart_drake.control.network import HIDDEN, INPUTS, OUTPUTS, TunerNetwork
 from stewart_drake.control.tuners import FixedTuner
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.references import SineBurstsReference
-from stewart_drake.robot import RobotParameters
+from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.scenario.limits import ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.runs import simulate
@@ -83,7 +83,7 @@ def load_dataset(path: str | Path) -> Dataset:
 
 @lru_cache(maxsize=4)
 def feasible_amplitudes(
-    robot: RobotParameters, limits: ReferenceLimits, gravity: float
+    robot: RobotParameters, limits: ReferenceLimits, gravity: Gravity
 ) -> tuple[tuple[Vector6, ...], tuple[Vector6, ...]]:
     """Largest feasible amplitudes (n_f, 6) [rad, m] at `FREQUENCIES`: of single axes, and of all axes at once."""
     alone = tuple(six(row) for row in amplitude_table(robot, limits, FREQUENCIES, gravity))
@@ -102,7 +102,7 @@ def experiment_reference(base: Scenario) -> SineBurstsReference:
 
     Deviation: the paper's pi/6 and 0.3 m at up to 5 Hz cannot be reached together (0.3 m at 5 Hz is 296 m/s^2).
     """
-    _, together = feasible_amplitudes(base.robot, base.limits, base.gravity)
+    _, together = feasible_amplitudes(base.robot, base.limits, base.gravity_in_base)
     if not np.all(np.array(together) > 0.0):
         raise ConfigurationError("limits", base.limits, "limits within which the robot can move from its home pose")
     # Rounded down to whole microradians and micrometres, so that rounding errors of the search do not change the data.
@@ -153,7 +153,7 @@ def dataset_metadata(base: Scenario, reference: SineBurstsReference) -> dict[str
         "frequency": list(reference.frequency),
         "amplitude": [list(row) for row in reference.amplitude],
         "phase": list(reference.phase),
-        "gravity": base.gravity,
+        "gravity": base.gravity_in_base,
         "feedforward": base.lqi.feedforward,
         "force_map": base.lqi.force_map,
         "omegas": list(OMEGAS),

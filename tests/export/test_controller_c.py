@@ -19,7 +19,7 @@ from stewart_drake.scenario.controller import controller_parts
 from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 NAMES = sorted(path.stem for path in shipped_folder("scenarios").glob("*.yaml"))
-SHIPPED = [name for name in NAMES if load_scenario(name).adaptation is None]
+SHIPPED = [name for name in NAMES if name != "rolling_deck" and load_scenario(name).adaptation is None]
 SAME = 1e-12
 """Of the largest command; what another libm may do."""
 
@@ -115,6 +115,7 @@ OTHERS = {
     "currents": ("exact_breathing", {"motors": {"kind": "current", "torque_constant": 0.5}, "safety": None}),
     "schedule": ("reachy_nod", {"tuner": {"kind": "schedule", "calm": [0, 0, 0, 0], "alert": [0.2, 0, 0, 0.5]}}),
     "joints": ("reachy_nod", {"model.friction.joints": {"viscous": 0.001, "coulomb": 0.001}}),
+    "tilted": ("sway", {"gravity": [1.0, -2.0, -9.0], "model.orientation": [0.2, 0.1, 0.0]}),
     "bumpless": ("reachy_nod", {"controller.bumpless": True}),
     "observer_of_poses": ("exact_fig7", {"estimator": "observer", "command_delay": 2, "safety": {}}),
     "fast_readings": ("exact_breathing", {

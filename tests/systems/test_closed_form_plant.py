@@ -83,7 +83,7 @@ def test_what_cannot_be_is_one_line():
     with pytest.raises(ConfigurationError, match=r"^friction: expected viscous friction alone"):
         ClosedFormPlant(ROBOT, ClosedFormOptions(motor_friction=0.1))
     with pytest.raises(ConfigurationError, match=r"^gravity"):
-        ClosedFormPlant(ROBOT, gravity=-1.0)
+        ClosedFormPlant(ROBOT, gravity=(1.0, 2.0))
     plant = ClosedFormPlant(ROBOT)
     for pose, error in (
         ([0.0] * 5, ConfigurationError),

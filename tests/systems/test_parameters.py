@@ -44,7 +44,7 @@ def test_a_robot_in_a_context_applies_to_it_and_its_clones_alone():
         np.testing.assert_allclose(torque_at_home(controller, each), expected, rtol=1e-9)
         assert controller.parameter(each, "robot")["platform_mass"] == 1.3
     np.testing.assert_array_equal(torque_at_home(controller, other), light)
-    controller.parameter(other, "params")["gravity"] *= 0.5
+    controller.parameter(other, "params")["base"] *= 0.5
     np.testing.assert_allclose(torque_at_home(controller, other), 0.5 * light, rtol=1e-9)
     context.SetTimeStateAndParametersFrom(controller.CreateDefaultContext())
     np.testing.assert_array_equal(torque_at_home(controller, context), light)
