@@ -13,8 +13,7 @@ from stewart_drake.base.jit import specialised
 from stewart_drake.mechanics import reach_laws
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.mechanics.kinematics_laws import Legs, robot_record
-from stewart_drake.mechanics.pose_margins import Measures, PoseLimits
+from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.limits import COLUMNS, PLACES, LimitMargin, ReferenceLimits, limit_bounds, pose_limits
 from stewart_drake.scenario.scenario import Scenario
@@ -64,13 +63,14 @@ class Reach:
         self.weight = robot.characteristic_length if weight is None else weight
         if not (isinstance(self.weight, (int, float)) and 0.0 < self.weight < math.inf):
             raise ConfigurationError("weight", weight, "a number above 0 [m/rad]")
-        self._numbers, self._limits = robot_record(robot).copy(), pose_limits(robot, self.limits, gravity)
-        self._memory = Legs.new(), Measures.new(), reach_laws.Probe.new()
-        self._home, self._out, self.weight = robot.home_pose.copy(), np.empty(6), float(self.weight)
-        setup = self._numbers, self._limits
-        law, search = (*setup, self._home, *self._memory), (*setup, self.weight, *[self._home] * 2, *self._memory)
-        self._at_rest = specialised(reach_laws.at_rest, law)
-        self._nearest = specialised(reach_laws.nearest, (*search, self._out))
+        if gravity < 0.0 or not math.isfinite(gravity):
+            raise ConfigurationError("gravity", gravity, "a number that is not negative [m/s^2]")
+        numbers = {"robot": robot_record(robot), "limits": pose_limits(robot, self.limits, gravity)}
+        self._space = reach_laws.Space.new(**numbers, weight=self.weight)
+        self._probe, self._home, self._out = reach_laws.Probe.new(), robot.home_pose.copy(), np.empty(6)
+        self._at_rest = specialised(reach_laws.at_rest, (self._space, self._home, self._probe))
+        search = self._space, self._home, self._home, self._probe, self._out
+        self._nearest = specialised(reach_laws.nearest, search)
         if not (least := self._least(self._home)).margin >= 0.0:
             allowed = f"limits that the robot keeps at home: {least.allowed}"
             raise ConfigurationError("limits", f"{least.value:.4g} {least.unit} at home", allowed)
@@ -85,7 +85,7 @@ class Reach:
         margin = self._least(given)
         if not margin.margin >= 0.0:
             return Check(False, margin, f"{margin.limit.replace('_', ' ')}: {margin.allowed}, not {margin.value:.4g}")
-        if not self._search(self._limits, self._home, given):
+        if not self._search(self._space, self._home, given):
             return Check(False, margin, "no way to it from home within the limits was found")
         left = f"{margin.margin:.3g} {margin.unit}".removesuffix(" -")
         return Check(True, margin, f"{left} inside the next limit, {margin.limit.replace('_', ' ')}: {margin.allowed}")
@@ -106,22 +106,23 @@ class Reach:
         start = self._home if from_pose is None else checked_pose("from_pose", from_pose)
         if from_pose is not None and not (least := self._least(start)).margin >= 0.0:
             raise ConfigurationError("from_pose", start.tolist(), f"a pose within the limits: {least.allowed}")
-        limits = self._limits if time is None else self._in_time(start, time)
-        if self._search(limits, start, target):
+        space = self._space if time is None else self._in_time(start, time)
+        if self._search(space, start, target):
             return Nearest(target, 0.0, 0.0, 0.0)
         gap, found = np.empty(6), self._out.copy()
         distance = float(reach_laws.difference(self.weight, found, target, gap))
         shift, turn = float(np.linalg.norm(gap[3:])), float(np.linalg.norm(gap[:3])) / self.weight
         return Nearest(found, distance, shift, turn)
 
-    def _search(self, limits: PoseLimits, start: np.ndarray, target: np.ndarray) -> bool:
-        return bool(self._nearest(self._numbers, limits, self.weight, start, target, *self._memory, self._out))
+    def _search(self, space: reach_laws.Space, start: np.ndarray, target: np.ndarray) -> bool:
+        return bool(self._nearest(space, start, target, self._probe, self._out))
 
-    def _in_time(self, start: np.ndarray, time: float) -> PoseLimits:
+    def _in_time(self, start: np.ndarray, time: float) -> reach_laws.Space:
         """The limits, with every crank within what it can turn in a time [s]."""
         if not (isinstance(time, (int, float)) and 0.0 < time < math.inf):
             raise ConfigurationError("time", time, "a number of seconds above 0")
-        limits = self._limits.copy()
+        space = self._space.copy()
+        limits = space["limits"]
         way = min((self.limits.crank_speed or math.inf) * time, math.pi)
         here = inverse_kinematics(self.robot, start)
         off = np.remainder(here - limits["crank_middle"][0] + np.pi, 2.0 * np.pi) - np.pi
@@ -129,11 +130,11 @@ class Reach:
         low, high = np.maximum(-half, off - way), np.minimum(half, off + way)
         limits["crank_middle"][0] += 0.5 * (low + high)
         limits["crank_half"][0] = 0.5 * (high - low)
-        return limits
+        return space
 
     def _least(self, pose: np.ndarray) -> LimitMargin:
         """The least relative margin at a pose, in its unit."""
-        least, place = self._at_rest(self._numbers, self._limits, pose, *self._memory)
+        _, place = self._at_rest(self._space, pose, self._probe)
         limit, columns = next((name, columns) for name, columns in COLUMNS.items() if place < columns.stop)
         leg, where = PLACES[limit][place - columns.start]
         bound = limit_bounds(self.robot, self.limits).get(limit, 0.0)
@@ -143,11 +144,7 @@ class Reach:
             share = bound
         elif limit == "clearance":
             share = self.robot.characteristic_length
-        relative = float(self._memory[2]["margins"][0, place]) if math.isfinite(least) else self._out_of_reach(place)
-        return LimitMargin(limit, bound, relative * share, 0.0, leg, where)
-
-    def _out_of_reach(self, leg: int) -> float:
-        return float(self._memory[1]["reach_margin"][0, leg]) - (1.0 - (self.limits.reach or 1.0))
+        return LimitMargin(limit, bound, float(self._probe["margins"][0, place]) * share, 0.0, leg, where)
 
 
 def checked_pose(key: str, pose: ArrayLike) -> np.ndarray:

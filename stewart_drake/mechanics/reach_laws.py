@@ -1,7 +1,7 @@
 """The nearest pose within all limits: sequential quadratic programming over the exact margins, compiled.
 
-The search starts at a pose within the limits, and every step is checked along its way, so that what it returns can be
-reached from the start without leaving the limits.
+The search starts at a pose within the limits, and checks the way of every step, so that what it returns can be reached
+from the start without leaving the limits.
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ from stewart_drake.mechanics.pose_margins import MARGINS, Measures, PoseLimits, 
 
 RESERVE = 1e-7
 """Least relative margin of a result, more than the rounding of another computation of it."""
-_FAR = 10.0  # Relative margins beyond it count as equal.
-_SPACING = 0.05  # Distance between checked poses, over the robot's length.
+FAR = 10.0
+"""Relative margins beyond it count as equal."""
+SPACING = 0.05
+"""Distance between checked poses, over the robot's length."""
 _CLEAR = 0.05  # Conditioning this far above its limit is only estimated, from below.
 _DIFFERENCE = 1e-6  # Step of the margins' derivatives, over the robot's length.
 _RADIUS, _SMALLEST = 0.25, 1e-5  # Largest and smallest step of the search, over the robot's length.
@@ -27,10 +29,21 @@ _STEPS, _CORRECTIONS, _SWEEPS = 16, 3, 40
 _IMPROVEMENT = 1e-4  # Relative one at which the search ends.
 
 
+class Space(Record):
+    """A robot with its limits, and the metric of its poses."""
+
+    robot: Robot
+    limits: PoseLimits
+    weight: float  # [m/rad] of turns against shifts.
+
+
 class Probe(Record):
     """Margins at a pose, and their slopes."""
 
+    legs: Legs
+    measures: Measures
     margins: Annotated[np.ndarray, (104,)]  # Relative: lengths over the robot's, torques and speeds over their limits.
+    base: Annotated[np.ndarray, (104,)]  # Margins where the slopes are taken.
     slopes: Annotated[np.ndarray, (104, 6)]  # [1/m] by the metric's coordinates.
     pressure: Annotated[np.ndarray, (104,)]  # Multipliers of the margins.
     place: Annotated[np.ndarray, (104,)]  # Numbers of the margins that may matter in a step.
@@ -38,54 +51,40 @@ class Probe(Record):
 
 
 @njit
-def least_margin(
-    robot: Robot,
-    limits: PoseLimits,
-    pose: Vec6,
-    rate: Vec6,
-    acceleration: Vec6,
-    legs: Legs,
-    measures: Measures,
-    out: Vector,
-) -> tuple[float, int]:
-    """Fills relative margins (104,) of a pose in motion; the least and its number, minus infinity out of reach."""
-    enough = limits.conditioning + _CLEAR
-    least, place = -np.inf, 0
-    spans = measure_motion(robot, limits.gravity, limits.thickness, pose, rate, acceleration, enough, legs, measures)
-    if not spans:
+def at_rest(space: Space, pose: Vec6, probe: Probe) -> tuple[float, int]:
+    """`least_margin` at rest, of structured arrays."""
+    still = np.zeros(6)
+    return least_margin(record(space), pose, still, still, record(probe))
+
+
+@njit
+def least_margin(space: Space, pose: Vec6, rate: Vec6, acceleration: Vec6, probe: Probe) -> tuple[float, int]:
+    """Fills the relative margins of a pose in motion; the least and its number, minus infinity out of reach."""
+    limits, measures, out = space.limits, probe.measures, probe.margins[:]
+    enough, place, least = limits.conditioning + _CLEAR, 0, np.inf
+    gravity, thickness = limits.gravity, limits.thickness
+    if not measure_motion(space.robot, gravity, thickness, pose, rate, acceleration, enough, probe.legs, measures):
         for i in range(6):
-            out[i] = measures.reach_margin[i]
+            out[i] = measures.reach_margin[i] - (1.0 - limits.reach)
             if not out[i] >= out[place]:
                 place = i
-        return least, place
+        return -np.inf, place
     margins_of(limits, pose, measures, out)
-    least = np.inf
     for j in range(MARGINS):
         if 26 <= j < 86:
-            out[j] /= robot.length
-        elif 92 <= j < 98:
-            out[j] = out[j] / limits.crank_speed if limits.crank_speed < np.inf else _FAR
-        elif j >= 98:
-            out[j] = out[j] / limits.torque[j - 98] if limits.torque[j - 98] < np.inf else _FAR
-        if out[j] > _FAR:
-            out[j] = _FAR
+            out[j] /= space.robot.length
+        elif j >= 92:
+            limit = limits.crank_speed if j < 98 else limits.torque[j - 98]
+            out[j] = out[j] / limit if limit < np.inf else FAR
+        out[j] = min(out[j], FAR)
         if not out[j] >= least:
             least, place = out[j], j
     return least, place
 
 
 @njit
-def at_rest(
-    robot: Robot, limits: PoseLimits, pose: Vec6, legs: Legs, measures: Measures, probe: Probe
-) -> tuple[float, int]:
-    """The least relative margin of a pose at rest and its number; minus infinity out of reach."""
-    still, margins = np.zeros(6), record(probe).margins[:]
-    return least_margin(record(robot), record(limits), pose, still, still, record(legs), record(measures), margins)
-
-
-@njit
 def difference(weight: float, pose: Vec6, target: Vec6, out: Vec6) -> float:
-    """Twist from a pose to a target in the metric [m]: the rotation vector in B times `weight` [m/rad], then the shift.
+    """Way from a pose to a target in the metric [m]: the rotation vector in B times `weight` [m/rad], then the shift.
 
     Returns its size.
     """
@@ -97,28 +96,27 @@ def difference(weight: float, pose: Vec6, target: Vec6, out: Vec6) -> float:
             turn[i, k] = dot(there[i], here[k])
     x, y, z = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
     sine, cosine = np.sqrt(x * x + y * y + z * z), turn[0, 0] + turn[1, 1] + turn[2, 2] - 1.0
-    angle = np.arctan2(sine, cosine)
-    if sine > 1e-7:
-        factor = angle / sine
-        out[0], out[1], out[2] = factor * x, factor * y, factor * z
-    elif cosine > 0.0:
-        out[0], out[1], out[2] = 0.5 * x, 0.5 * y, 0.5 * z
-    else:
+    angle, best = np.arctan2(sine, cosine), 0
+    out[0], out[1], out[2] = x, y, z
+    if sine < 1e-7 and cosine < 0.0:
         # Half a turn: the largest column of the sum of the matrix and the identity is along its axis.
-        best = 0
         for k in range(1, 3):
             if turn[k, k] > turn[best, best]:
                 best = k
         for k in range(3):
             out[k] = turn[k, best] + (1.0 if k == best else 0.0)
-        size = np.sqrt(dot(out, out))
-        for k in range(3):
-            out[k] *= angle / size
-    square = 0.0
+        sine = np.sqrt(dot(out, out))
+    factor, square = weight * (angle / sine if sine > 1e-12 else 0.5), 0.0
     for k in range(6):
-        out[k] = weight * out[k] if k < 3 else target[k] - pose[k]
+        out[k] = factor * out[k] if k < 3 else target[k] - pose[k]
         square += out[k] * out[k]
     return np.sqrt(square)
+
+
+@njit
+def size_of(step: Vec6) -> float:
+    """Length of a step in the metric [m]."""
+    return np.sqrt(dot(step[:3], step[:3]) + dot(step[3:], step[3:]))
 
 
 @njit
@@ -133,21 +131,20 @@ def moved(weight: float, pose: Vec6, step: Vec6, share: float, out: Vec6) -> Non
 
 
 @njit
-def slopes_at(
-    robot: Robot, limits: PoseLimits, weight: float, pose: Vec6, legs: Legs, measures: Measures, probe: Probe
-) -> None:
-    """Fills the slopes of the margins at a pose at rest, whose margins are in the probe."""
-    unit, still, near, margins = np.zeros(6), np.zeros(6), np.empty(6), np.empty(MARGINS)
+def slopes_at(space: Space, pose: Vec6, probe: Probe) -> None:
+    """Fills the margins of a pose at rest as `base`, and their slopes."""
+    unit, still, near = np.zeros(6), np.zeros(6), np.empty(6)
+    least_margin(space, pose, still, still, probe)
+    copy_to(probe.base[:], probe.margins[:])
     for k in range(6):
-        step = _DIFFERENCE * robot.length
-        unit[k] = 1.0
+        step, unit[k] = _DIFFERENCE * space.robot.length, 1.0
         for _ in range(2):
-            moved(weight, pose, unit, step, near)
-            if least_margin(robot, limits, near, still, still, legs, measures, margins)[0] > -np.inf:
+            moved(space.weight, pose, unit, step, near)
+            if least_margin(space, near, still, still, probe)[0] > -np.inf:
                 break
             step = -step
         for j in range(MARGINS):
-            slope = (margins[j] - probe.margins[j]) / step
+            slope = (probe.margins[j] - probe.base[j]) / step
             probe.slopes[j, k] = slope if np.isfinite(slope) else 0.0
         unit[k] = 0.0
 
@@ -158,7 +155,7 @@ def project(probe: Probe, margins: Vector, reserve: float, step: Vec6) -> None:
 
     Hildreth's method: coordinate ascent on the multipliers.
     """
-    size, count = np.sqrt(dot(step[:3], step[:3]) + dot(step[3:], step[3:])), 0
+    size, count = size_of(step), 0
     for j in range(MARGINS):
         square = dot(probe.slopes[j, :3], probe.slopes[j, :3]) + dot(probe.slopes[j, 3:], probe.slopes[j, 3:])
         probe.pressure[j] = 0.0
@@ -183,29 +180,34 @@ def project(probe: Probe, margins: Vector, reserve: float, step: Vec6) -> None:
 
 
 @njit
-def along(
-    robot: Robot,
-    limits: PoseLimits,
-    weight: float,
-    start: Vec6,
-    end: Vec6,
-    legs: Legs,
-    measures: Measures,
-    margins: Vector,
-    out: Vec6,
-) -> bool:
+def corrected(space: Space, reserve: float, pose: Vec6, probe: Probe) -> bool:
+    """Moves a pose near the limits inside by a reserve, by the slopes of the probe; whether that succeeds."""
+    still, step, near = np.zeros(6), np.empty(6), np.empty(6)
+    for n in range(_CORRECTIONS + 1):
+        least, _ = least_margin(space, pose, still, still, probe)
+        if least >= reserve:
+            return True
+        if n == _CORRECTIONS or not least > -np.inf:
+            break
+        set_to(step, 0.0)
+        project(probe, probe.margins[:], reserve + RESERVE, step)
+        moved(space.weight, pose, step, 1.0, near)
+        copy_to(pose, near)
+    return False
+
+
+@njit
+def along(space: Space, start: Vec6, end: Vec6, probe: Probe, out: Vec6) -> bool:
     """The last checked pose within the limits on the straight line between poses; whether that is its end."""
     still, gap, pose = np.zeros(6), np.empty(6), np.empty(6)
     copy_to(out, start)
-    square = 0.0
     for k in range(6):
-        gap[k] = end[k] - start[k]
-        square += (gap[k] * weight) ** 2 if k < 3 else gap[k] ** 2
-    count = int(np.ceil(np.sqrt(square) / (_SPACING * robot.length)))
+        gap[k] = (end[k] - start[k]) * (space.weight if k < 3 else 1.0)
+    count = int(np.ceil(size_of(gap) / (SPACING * space.robot.length)))
     for n in range(1, count + 1):
         for k in range(6):
-            pose[k] = end[k] if n == count else start[k] + gap[k] * n / count
-        if not least_margin(robot, limits, pose, still, still, legs, measures, margins)[0] >= RESERVE:
+            pose[k] = end[k] if n == count else start[k] + (end[k] - start[k]) * n / count
+        if not least_margin(space, pose, still, still, probe)[0] >= RESERVE:
             return False
         copy_to(out, pose)
     return True
@@ -224,91 +226,47 @@ def canonical(target: Vec6, near: Vec6, out: Vec6) -> None:
 
 
 @njit
-def nearest(
-    robot: Robot,
-    limits: PoseLimits,
-    weight: float,
-    start: Vec6,
-    target: Vec6,
-    legs: Legs,
-    measures: Measures,
-    probe: Probe,
-    out: Vec6,
-) -> bool:
+def nearest(space: Space, start: Vec6, target: Vec6, probe: Probe, out: Vec6) -> bool:
     """The nearest pose to a target that the search finds from a start within the limits; whether it is the target.
 
     The distance is sqrt(shift^2 + (weight turn)^2), with the angle of the turn between both orientations.
     """
-    robot, limits = record(robot), record(limits)
-    legs, measures, probe = record(legs), record(measures), record(probe)
-    goal, step, tried, far = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
-    still, margins, last = np.zeros(6), np.empty(MARGINS), np.empty(6)
+    space, probe = record(space), record(probe)
+    goal, step, tried = np.empty(6), np.empty(6), np.empty(6)
+    far, last, before = np.empty(6), np.empty(6), np.zeros(6)
     canonical(target, start, goal)
-    if along(robot, limits, weight, start, goal, legs, measures, margins, out):
+    if along(space, start, goal, probe, out):
         return True
-    radius, distance = _RADIUS * robot.length, difference(weight, out, goal, far)
-    is_new, before, curvature, share = True, np.zeros(6), 1.0, 1.0
+    length, is_new, curvature, share = space.robot.length, True, 1.0, 1.0
+    radius, distance = _RADIUS * length, difference(space.weight, out, goal, far)
     for _ in range(_STEPS):
         if is_new:
-            least_margin(robot, limits, out, still, still, legs, measures, probe.margins[:])
-            slopes_at(robot, limits, weight, out, legs, measures, probe)
+            slopes_at(space, out, probe)
         copy_to(step, far)
-        project(probe, probe.margins[:], RESERVE, step)
-        # The curvature of the limits, from how the step has changed along the last one.
-        product = square = size = 0.0
-        for k in range(6):
-            product += step[k] * before[k]
-            square += before[k] * before[k]
-            size += step[k] * step[k]
+        project(probe, probe.base[:], RESERVE, step)
+        size, square = size_of(step), size_of(before) ** 2
         if is_new and square > 0.0:
+            # The curvature of the limits, from how the step has changed along the last one.
+            product = dot(step[:3], before[:3]) + dot(step[3:], before[3:])
             curvature = max(1.0, (1.0 - product / square) / share)
-        share = min(1.0 / curvature, radius / max(np.sqrt(size), 1e-300))
-        for k in range(6):
-            before[k] = step[k]
-            step[k] *= share
-        moved(weight, out, step, 1.0, tried)
-        is_new = _corrected(robot, limits, weight, tried, legs, measures, probe, margins)
-        remaining = difference(weight, tried, goal, step)
-        is_new = is_new and remaining < distance
-        is_new = is_new and along(robot, limits, weight, out, tried, legs, measures, margins, last)
+        share = min(1.0 / curvature, radius / max(size, 1e-300))
+        copy_to(before, step)
+        moved(space.weight, out, step, share, tried)
+        is_new = corrected(space, RESERVE, tried, probe)
+        remaining = difference(space.weight, tried, goal, step)
+        is_new = is_new and remaining < distance and along(space, out, tried, probe, last)
         if not is_new:
             radius *= 0.25
-            if radius < _SMALLEST * robot.length:
+            if radius < _SMALLEST * length:
                 break
             continue
         improvement = distance - remaining
         copy_to(out, tried)
-        distance = difference(weight, out, goal, far)
+        distance = difference(space.weight, out, goal, far)
         canonical(target, out, goal)
-        if along(robot, limits, weight, out, goal, legs, measures, margins, tried):
+        if along(space, out, goal, probe, tried):
             copy_to(out, goal)
             return True
         if improvement < _IMPROVEMENT * distance:
             break
-    return False
-
-
-@njit
-def _corrected(
-    robot: Robot,
-    limits: PoseLimits,
-    weight: float,
-    pose: Vec6,
-    legs: Legs,
-    measures: Measures,
-    probe: Probe,
-    margins: Vector,
-) -> bool:
-    """Moves a pose near the limits inside, by the slopes of the probe; whether that succeeds."""
-    still, step, near = np.zeros(6), np.empty(6), np.empty(6)
-    for n in range(_CORRECTIONS + 1):
-        least, _ = least_margin(robot, limits, pose, still, still, legs, measures, margins)
-        if least >= RESERVE:
-            return True
-        if n == _CORRECTIONS or not least > -np.inf:
-            return False
-        set_to(step, 0.0)
-        project(probe, margins, 2.0 * RESERVE, step)
-        moved(weight, pose, step, 1.0, near)
-        copy_to(pose, near)
     return False
