@@ -13,9 +13,8 @@ from stewart_drake.base.jit import specialised
 from stewart_drake.mechanics import reach_laws
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import inverse_kinematics
-from stewart_drake.mechanics.kinematics_laws import robot_record
 from stewart_drake.robot import RobotParameters
-from stewart_drake.scenario.limits import COLUMNS, PLACES, LimitMargin, ReferenceLimits, limit_bounds, pose_limits
+from stewart_drake.scenario.limits import COLUMNS, PLACES, LimitMargin, ReferenceLimits, limit_bounds, space_of
 from stewart_drake.scenario.scenario import Scenario
 
 
@@ -65,8 +64,7 @@ class Reach:
             raise ConfigurationError("weight", weight, "a number above 0 [m/rad]")
         if gravity < 0.0 or not math.isfinite(gravity):
             raise ConfigurationError("gravity", gravity, "a number that is not negative [m/s^2]")
-        numbers = {"robot": robot_record(robot), "limits": pose_limits(robot, self.limits, gravity)}
-        self._space = reach_laws.Space.new(**numbers, weight=self.weight)
+        self._space = space_of(robot, self.limits, gravity, self.weight)
         self._probe, self._home, self._out = reach_laws.Probe.new(), robot.home_pose.copy(), np.empty(6)
         self._at_rest = specialised(reach_laws.at_rest, (self._space, self._home, self._probe))
         search = self._space, self._home, self._home, self._probe, self._out

@@ -19,6 +19,7 @@ from pydantic import Field
 
 from stewart_drake.base.config import Positive, Section
 from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.mechanics import reach_laws
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.kinematics import over_rows
 from stewart_drake.mechanics.kinematics_laws import robot_record
@@ -175,6 +176,14 @@ def pose_limits(robot: RobotParameters, limits: ReferenceLimits, gravity: float)
     values |= {"torque": values["torque"] * robot.effort_shares}
     values |= {"crank_middle": middle, "crank_half": half, "assembly_sign": home["assembly_sign"]}
     return PoseLimits.new(**values, home_rod=home["rod"], thickness=2.0 * robot.link_radius, gravity=gravity)
+
+
+def space_of(
+    robot: RobotParameters, limits: ReferenceLimits, gravity: float, weight: float | None = None
+) -> reach_laws.Space:
+    """A robot with its limits, and a weight [m/rad] of turns; None for the robot's characteristic length."""
+    numbers = {"robot": robot_record(robot), "limits": pose_limits(robot, limits, gravity)}
+    return reach_laws.Space.new(**numbers, weight=weight or robot.characteristic_length)
 
 
 SLACK = 0.01
