@@ -105,7 +105,7 @@ def difference(weight: float, pose: Vec6, target: Vec6, out: Vec6) -> float:
                 best = k
         for k in range(3):
             out[k] = turn[k, best] + (1.0 if k == best else 0.0)
-        sine = np.sqrt(dot(out, out))
+        sine = np.sqrt(dot(out[:3], out[:3]))
     factor, square = weight * (angle / sine if sine > 1e-12 else 0.5), 0.0
     for k in range(6):
         out[k] = factor * out[k] if k < 3 else target[k] - pose[k]
@@ -165,16 +165,16 @@ def project(probe: Probe, margins: Vector, reserve: float, step: Vec6) -> None:
     for _ in range(_SWEEPS):
         most = 0.0
         for n in range(count):
-            j = int(probe.place[n])
-            row, value = probe.slopes[j], margins[j] - reserve
+            m = int(probe.place[n])
+            row, value = probe.slopes[m], margins[m] - reserve
             for k in range(6):
                 value += row[k] * step[k]
-            change = max(-probe.pressure[j], -value / probe.square[j])
+            change = max(-probe.pressure[m], -value / probe.square[m])
             if change != 0.0:
-                probe.pressure[j] += change
+                probe.pressure[m] += change
                 for k in range(6):
                     step[k] += change * row[k]
-                most = max(most, abs(change) * np.sqrt(probe.square[j]))
+                most = max(most, abs(change) * np.sqrt(probe.square[m]))
         if most <= 1e-4 * size:
             break
 
@@ -221,8 +221,9 @@ def canonical(target: Vec6, near: Vec6, out: Vec6) -> None:
     if not abs(target[1]) <= 0.5 * np.pi:
         rotation(target[:3], turn)
         roll_pitch_yaw(turn, out[:3])
-    for k in range(0, 3, 2):
-        out[k] -= 2.0 * np.pi * np.round((out[k] - near[k]) / (2.0 * np.pi))
+    for k in range(3):
+        # Pitch is near already.
+        out[k] -= 2.0 * np.pi * np.rint((out[k] - near[k]) / (2.0 * np.pi))
 
 
 @njit

@@ -179,14 +179,14 @@ def stream_tick(params: StreamParams, target: Vec6, time: Vec1, probe: Probe, st
     if all_finite(target) and largest_size(target) < _LARGEST:
         copy_to(state.target[:], target)
     late = time[0] + params.ahead
-    while state.time + params.period <= late + 1e-9:
+    for _ in range(int(max(0.0, np.floor((late - state.time) / params.period + 1e-9)))):
         for n in range(ROWS - 1, 0, -1):
             copy_to(state.rows[n], state.rows[n - 1])
         next_row(params, state.target[:], state.rows[1], probe, state.rows[0])
         state.time += params.period
     row_after(state.rows[0], late - state.time, state.reference_ahead[:])
-    n = int(max(0.0, min(ROWS - 1.0, np.ceil((state.time - time[0]) / params.period - 1e-9))))
-    row_after(state.rows[n], max(0.0, time[0] - state.time + n * params.period), state.reference[:])
+    late_rows = int(max(0.0, min(ROWS - 1.0, np.ceil((state.time - time[0]) / params.period - 1e-9))))
+    row_after(state.rows[late_rows], max(0.0, time[0] - state.time + late_rows * params.period), state.reference[:])
 
 
 @njit
