@@ -113,7 +113,12 @@ class Reach:
         return Nearest(found, distance, shift, turn)
 
     def _search(self, space: reach_laws.Space, start: np.ndarray, target: np.ndarray) -> bool:
-        return bool(self._nearest(space, start, target, self._probe, self._out))
+        """Whether there is a way to a target; else `_out` is the nearest pose to which one was found."""
+        if self._nearest(space, start, target, self._probe, self._out):
+            return True
+        # A way from a pose within the limits to the start is often found more easily.
+        least, _ = self._at_rest(space, target, self._probe)
+        return least >= 0.0 and bool(self._nearest(space, target, start, self._probe, np.empty(6)))
 
     def _in_time(self, start: np.ndarray, time: float) -> reach_laws.Space:
         """The limits, with every crank within what it can turn in a time [s]."""

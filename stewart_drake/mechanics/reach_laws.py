@@ -25,7 +25,7 @@ SPACING = 0.05
 _CLEAR = 0.05  # Conditioning this far above its limit is only estimated, from below.
 _DIFFERENCE = 1e-6  # Step of the margins' derivatives, over the robot's length.
 _RADIUS, _SMALLEST = 0.25, 1e-5  # Largest and smallest step of the search, over the robot's length.
-_STEPS, _CORRECTIONS, _SWEEPS = 16, 3, 40
+_STEPS, _CORRECTIONS, _SWEEPS = 12, 3, 40
 _IMPROVEMENT = 1e-4  # Relative one at which the search ends.
 
 
