@@ -43,7 +43,7 @@ class Probe(Record):
     legs: Legs
     measures: Measures
     margins: Annotated[np.ndarray, (104,)]  # Relative: lengths over the robot's, torques and speeds over their limits.
-    base: Annotated[np.ndarray, (104,)]  # Margins where the slopes are taken.
+    margins_here: Annotated[np.ndarray, (104,)]  # Margins where the slopes are taken.
     slopes: Annotated[np.ndarray, (104, 6)]  # [1/m] by the metric's coordinates.
     pressure: Annotated[np.ndarray, (104,)]  # Multipliers of the margins.
     place: Annotated[np.ndarray, (104,)]  # Numbers of the margins that may matter in a step.
@@ -132,10 +132,10 @@ def moved(weight: float, pose: Vec6, step: Vec6, share: float, out: Vec6) -> Non
 
 @njit
 def slopes_at(space: Space, pose: Vec6, probe: Probe) -> None:
-    """Fills the margins of a pose at rest as `base`, and their slopes."""
+    """Fills the margins of a pose at rest as `margins_here`, and their slopes."""
     unit, still, near = np.zeros(6), np.zeros(6), np.empty(6)
     least_margin(space, pose, still, still, probe)
-    copy_to(probe.base[:], probe.margins[:])
+    copy_to(probe.margins_here[:], probe.margins[:])
     for k in range(6):
         step, unit[k] = _DIFFERENCE * space.robot.length, 1.0
         for _ in range(2):
@@ -144,7 +144,7 @@ def slopes_at(space: Space, pose: Vec6, probe: Probe) -> None:
                 break
             step = -step
         for j in range(MARGINS):
-            slope = (probe.margins[j] - probe.base[j]) / step
+            slope = (probe.margins[j] - probe.margins_here[j]) / step
             probe.slopes[j, k] = slope if np.isfinite(slope) else 0.0
         unit[k] = 0.0
 
@@ -244,7 +244,7 @@ def nearest(space: Space, start: Vec6, target: Vec6, probe: Probe, out: Vec6) ->
         if is_new:
             slopes_at(space, out, probe)
         copy_to(step, far)
-        project(probe, probe.base[:], RESERVE, step)
+        project(probe, probe.margins_here[:], RESERVE, step)
         size, square = size_of(step), size_of(before) ** 2
         if is_new and square > 0.0:
             # The curvature of the limits, from how the step has changed along the last one.

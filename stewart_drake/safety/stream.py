@@ -191,13 +191,17 @@ class UdpTargets:
         self._options, self._latest = options, NO_TARGET
         host, port = address_of(str(options.udp))
         try:
-            family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
-            self._line = socket.socket(family, kind, protocol)
-            self._line.setblocking(False)
-            self._line.bind(address)
+            family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+            self._line = socket.socket(family, socket.SOCK_DGRAM)
+            try:
+                self._line.bind(address)
+            except OSError:
+                self._line.close()
+                raise
         except OSError as error:
             allowed = f"an address of this computer with a free port ({error.strerror or error})"
             raise ConfigurationError("reference.udp", options.udp, allowed) from None
+        self._line.setblocking(False)
         self.port = int(self._line.getsockname()[1])
 
     def __call__(self, time: float) -> np.ndarray:  # noqa: ARG002

@@ -30,7 +30,7 @@ from stewart_drake.mechanics.reach_laws import (
 ROWS = 8
 """Rows that the filter keeps, for the reference between the time of its commands and now."""
 _LOOK_AHEAD = 0.1  # Distance to the point that is aimed at, from where the platform can rest; over the robot's length.
-_SHARES = 4  # Accelerations that are tried, each half as far from braking as the one before.
+_SHARES = 8  # Accelerations that are tried, each half as far from braking as the one before.
 _LARGEST = 1e3  # [rad, m] larger targets are dropped.
 
 
@@ -121,7 +121,7 @@ def _aim(params: StreamParams, target: Vec6, rest: Vec6, probe: Probe, out: Vec6
         step[k] *= min(1.0, radius / distance)
     asked = size_of(step)
     slopes_at(space, rest, probe)
-    project(probe, probe.base[:], reserve, step)
+    project(probe, probe.margins_here[:], reserve, step)
     gap = size_of(step)
     for _ in range(_SHARES):
         moved(space.weight, rest, step, 1.0, out)
@@ -158,11 +158,12 @@ def next_row(params: StreamParams, target: Vec6, before: Vec18, probe: Probe, ou
             per_way = min(per_way, min(speed, params.speed[part]) / size)
     for k in range(6):
         asked[k] = (per_way * way[k] - out[6 + k]) / period
+    # Less of all at once, so that it does not leave the way.
+    share = 1.0
     for part in range(2):
-        size = _part_size(asked, part)
-        if size > params.acceleration[part]:
-            for k in range(3 * part, 3 * part + 3):
-                asked[k] *= params.acceleration[part] / size
+        share = min(share, params.acceleration[part] / max(_part_size(asked, part), 1e-300))
+    for k in range(6):
+        asked[k] *= share
     for _ in range(_SHARES):
         copy_to(out[12:], asked)
         if _is_safe(params, out, probe):
