@@ -75,16 +75,20 @@ class StreamReference(Section, key="reference"):
         return made
 
     @property
-    def home(self) -> np.ndarray:
-        """(6,) [rad, m] where it begins."""
+    def _robot(self) -> tuple[np.ndarray, Callable[[], Space]]:
         if self._setup is None:
             raise ConfigurationError("reference.kind", "stream", "another kind within a sum or an adjusted motion")
-        return self._setup[0]
+        return self._setup
+
+    @property
+    def home(self) -> np.ndarray:
+        """(6,) [rad, m] where it begins."""
+        return self._robot[0]
 
     @cached_property
     def params(self) -> StreamParams:
         """Numbers of its filter."""
-        home, space = self.home, self._setup[1]() if self._setup else None
+        home, space = self.home, self._robot[1]()
         least, _ = at_rest(space, home.copy(), Probe.new())
         if least < self.reserve:
             allowed = f"less than the least relative margin of the robot at home, {least:.3g}"
@@ -116,7 +120,11 @@ class StreamReference(Section, key="reference"):
 
     @cached_property
     def _recorded(self) -> StreamMotion:
-        return StreamMotion(self.params, self.home, lambda time: self.targets(np.array([time]))[0])
+        return StreamMotion(self.params, self.home, self._target_at)
+
+    def _target_at(self, time: float) -> np.ndarray:
+        target: np.ndarray = self.targets(np.array([time]))[0]
+        return target
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return self._recorded.evaluate(time)

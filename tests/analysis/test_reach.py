@@ -1,6 +1,8 @@
 """`Reach` and the command `reach`."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -160,6 +162,23 @@ def test_the_command_gives_answer_reason_and_the_nearest_pose(call, tmp_path):
 def test_bad_arguments_of_the_command_are_one_line(call, arguments, text):
     status, _, err = call("reach", *arguments)
     assert (status, err.count("\n"), text in err) == (2, 1, True)
+
+
+def test_the_page_holds(call, capsys):
+    page = (Path(reach_study.__file__).parents[1] / "reach.md").read_text()
+    names = {}
+    for code in re.findall(r"```python\n(.*?)```", page, re.DOTALL):
+        exec(compile(code, "reach.md", "exec"), names)
+    names["sender"].close()
+    assert MINI.check(names["sent"]).possible
+    assert MINI.check(names["soon"].pose).possible
+    capsys.readouterr()
+    status, out, _ = call("reach", "reachy_mini", "--pose", "yaw=70,z=190", "--json")
+    answer = json.loads(out)
+    yaw, height = np.degrees(answer["nearest_pose"][2]), 1e3 * answer["nearest_pose"][5]
+    assert (status, f"{yaw:.1f} deg at a height of {height:.1f} mm" in page) == (0, True)
+    assert re.search(r"not -(0\.106)", answer["reason"])
+    assert "0.106 rad beyond a stop of leg 0" in page
 
 
 @pytest.mark.long
