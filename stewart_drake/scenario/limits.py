@@ -169,13 +169,13 @@ def pose_limits(robot: RobotParameters, limits: ReferenceLimits, gravity: float)
     """The limits as numbers, on the side of the singularities on which home is."""
     bounds, home = limit_bounds(robot, limits), _at_home(robot)
     least = {"conditioning", "transmission", "clearance"}
-    values = {
+    given = {
         name: bounds.get(name, -np.inf if name in least else np.inf) for name in PoseLimits.fields if name in RULES
     }
     half, middle = _ranges(robot)
-    values |= {"torque": values["torque"] * robot.effort_shares}
-    values |= {"crank_middle": middle, "crank_half": half, "assembly_sign": home["assembly_sign"]}
-    return PoseLimits.new(**values, home_rod=home["rod"], thickness=2.0 * robot.link_radius, gravity=gravity)
+    arrays = {"torque": given.pop("torque") * robot.effort_shares, "crank_middle": middle, "crank_half": half}
+    arrays |= {"home_rod": home["rod"], "assembly_sign": home["assembly_sign"]}
+    return PoseLimits.new(**given, **arrays, thickness=2.0 * robot.link_radius, gravity=gravity)
 
 
 def space_of(
