@@ -2,6 +2,7 @@
 
 from stewart_drake.analysis.feasibility import check_reference as check_reference
 from stewart_drake.analysis.linear_loop import linearize as linearize
+from stewart_drake.analysis.reach import Reach as Reach
 from stewart_drake.analysis.response import bode as bode
 from stewart_drake.base.errors import ConfigurationError as ConfigurationError
 from stewart_drake.base.errors import StewartDrakeError as StewartDrakeError

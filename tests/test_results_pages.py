@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import random_faults
+import reach_study
 import servo_identification_study as servos
 import write_monte_carlo as monte_carlo
 import write_reachy
@@ -27,7 +28,7 @@ from simulated_calibration import run_trial as calibrated
 from simulated_identification import Setting
 from simulated_identification import run_trial as identified
 
-from stewart_drake import load_robot, load_scenario, plan_poses, run, run_metrics
+from stewart_drake import Reach, load_robot, load_scenario, plan_poses, run, run_metrics
 from stewart_drake.analysis.linear_loop import linear_loops
 from stewart_drake.analysis.margins import loop_margins
 from stewart_drake.mechanics.dynamics import static_torque
@@ -153,6 +154,17 @@ def test_margins(page):
     assert_says(page.cell("observer", column="disk").partition(",")[0], found.disk[0])
     assert_says(page.cell("observer", column="gain"), found.gain_low[0], found.gain_high[0])
     assert_says(page.cell("observer", column="phase [deg]"), np.degrees(found.phase[0]))
+
+
+def test_reach(page):
+    robot, rng = load_robot("paper"), np.random.default_rng(0)
+    reach, box = Reach(robot), np.repeat([reach_study.TURN, robot.characteristic_length], 3)
+    rng.uniform(-1.0, 1.0, (reach_study.CLOUD, 6))
+    targets = robot.home_pose + rng.uniform(-1.0, 1.0, (reach_study.TARGETS, 6)) * box
+    results = [reach.nearest(target) for target in targets]
+    assert reach_study.within(reach, np.array([found.pose for found in results])).all()
+    reached = 100.0 * np.mean([found.distance == 0.0 for found in results])
+    assert_says(page.cell("paper", column="can be taken [%]"), reached)
 
 
 def test_monte_carlo(page):

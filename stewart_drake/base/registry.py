@@ -20,6 +20,7 @@ REFERENCES = Family(
         "recorded": "references.recorded:RecordedReference",
         "sum": "references.motions:SumReference",
         "adjusted": "references.motions:AdjustedReference",
+        "stream": "safety.stream:StreamReference",
     },
     default="sine",
     user_section="references.recorded:UserReference",

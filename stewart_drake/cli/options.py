@@ -51,6 +51,7 @@ COMMANDS = {
     "bode": About("run", "exact_breathing", "Frequency response of the linearised loop"),
     "step": About("run", "exact_breathing --axis Z --size 1mm", "Step response of the whole loop"),
     "workspace": About("run", "--scenario sway --samples 100000", "Compute a robot's workspace and its torques there"),
+    "reach": About("reach", "reachy_mini --pose yaw=70,z=190", "Can a robot take a pose? And the nearest that it can"),
     "robots": About("robot", "", "List the robots of the package"),
     "robots show": About("robot", "reachy_mini", "Print a robot's parameters and derived values"),
     "robots from-table": About(

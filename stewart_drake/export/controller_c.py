@@ -11,7 +11,7 @@ import numpy as np
 from stewart_drake import __version__
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.errors import FAILURES, ConfigurationError, RunFailure
-from stewart_drake.base.sampling import on_grid
+from stewart_drake.base.sampling import InBlocks, on_grid
 from stewart_drake.control.user_controller import PythonOptions
 from stewart_drake.export.loop import LoopSource
 from stewart_drake.export.program import from_template
@@ -47,7 +47,7 @@ def controller_files(options: ControlOptions, name: str, prefix: str = "") -> di
     if isinstance(options.controller, PythonOptions):
         allowed = "a kind with compiled laws, see docs/export.md; a class or function of Python is not printed"
         raise ConfigurationError(options.controller.code_key, options.controller.code, allowed)
-    prefix, side, age = prefix or c_name(name), control_side(options, split=True), np.zeros(1)
+    prefix, side, age = prefix or c_name(name), control_side(options, split=True, streams=True), np.zeros(1)
     parts = controller_parts(options, side, age)
     outside = {"time": 1, side.reading: side.context.reading, **{source.signal: source.size for source in side.sources}}
     loop = LoopSource(parts, outside, {}, side.context.period, options.reading_period, {"age": age})
@@ -56,17 +56,23 @@ def controller_files(options: ControlOptions, name: str, prefix: str = "") -> di
     for helper in ("minimum", "maximum"):
         loop.program.helper(helper)
     ticks = min(round(getattr(options, "duration", 10.0) / options.reading_period) + 1, MOST_ROWS)
+    size = side.sources[0].size
     given = "".join(
-        f"    for (int k = 0; k < 18; k++) {{\n        loop->{source.signal}[k] = reference[{18 * n} + k];\n    }}\n"
+        f"    for (int k = 0; k < {size}; k++) {{\n"
+        f"        loop->{source.signal}[k] = reference[{size * n} + k];\n    }}\n"
         for n, source in enumerate(side.sources)
     )
     reads_angles, period = side.context.reading == 6, options.reading_period
     words = {"NAME": prefix, "UPPER": prefix.upper(), "SCENARIO": name, "VERSION": __version__, "REASONS": REASONS}
     words |= {"PERIOD": number(period).text, "GRID": number(on_grid(period)).text, "UNIT": side.unit}
     words |= {"TICK": number(side.context.period).text, "READING": str(side.context.reading), "READS": side.reading}
-    words |= {"REFERENCE": str(18 * len(side.sources)), "NUMBERS": str(loop.numbers), "GIVEN": given.rstrip()}
+    words |= {"REFERENCE": str(size * len(side.sources)), "NUMBERS": str(loop.numbers), "GIVEN": given.rstrip()}
     later = {"reference_ahead": f" ({options.preview:g} s later)"}
-    words["MOTIONS"] = ", then of ".join(f"`{of.signal}`{later.get(of.signal, '')}" for of in side.sources)
+    motions = ", then of ".join(f"`{of.signal}`{later.get(of.signal, '')}" for of in side.sources)
+    words["SAMPLE"] = f"18 of {motions}" if size == 18 else "a target pose"
+    words["MEANING"] = f"pose [rad, m], rate and acceleration, six numbers each, of {motions}"
+    if size == 6:
+        words["MEANING"] = "the newest target, a pose [rad, m], which is kept within the limits; NaN for none"
     words |= {"TAKES": str({"rad": 0, "N m": 1, "A": 2}[side.unit]), "ROWS": str(ticks)}
     words |= {"NEEDS": "READING | MEASURED" if side.context.feedback else "READING"}
     words |= {"MEANS": "angles of the cranks [rad]" if reads_angles else "pose [rad, m] and its rate"}
@@ -102,7 +108,7 @@ def _reference(side: ControlSide, period: float, ticks: int) -> str:
 def readings_along(options: ControlOptions, side: ControlSide, ticks: int) -> np.ndarray:
     """Readings (ticks, n) near the reference, as a robot gives them that follows it."""
     times = np.arange(ticks) * on_grid(options.reading_period)
-    motion = side.sources[0].evaluate(times)[:, :12]
+    motion = np.concatenate(options.reference.evaluate(times)[:2], axis=1)
     rows = motion
     if side.context.reading == 6:
         rows = np.unwrap(inverse_kinematics(side.context.robot, motion[:, :6]), axis=0)
@@ -112,7 +118,8 @@ def readings_along(options: ControlOptions, side: ControlSide, ticks: int) -> np
 
 def _replay(options: ControlOptions, side: ControlSide) -> str:
     """Rows of reading, reference, age and the command that `Controller` gives for them."""
-    controller, out = Controller(options), np.empty(6)
+    targets = {of.signal: InBlocks(of.evaluate, options.reading_period).at_time for of in side.sources if of.size == 6}
+    controller, out = Controller(options, targets), np.empty(6)
     ticks = round(min(getattr(options, "duration", REPLAYED), REPLAYED) / options.reading_period) + 1
     names = [source.signal for source in side.sources]
     rows = []

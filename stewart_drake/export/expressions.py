@@ -23,7 +23,9 @@ FIELDS = ("first", "second", "third", "fourth")  # Fields of the struct in which
 BINARY = {ast.Add: ("+", c.SUM), ast.Sub: ("-", c.SUM), ast.Mult: ("*", c.PRODUCT), ast.Div: ("/", c.PRODUCT)}
 _COMPARED = {ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!="}
 _MATH: dict[object, str] = {np.arcsin: "asin", np.arccos: "acos", np.arctan2: "atan2", np.abs: "fabs", abs: "fabs"}
-_MATH |= {getattr(np, name): name for name in ("sin", "cos", "tanh", "exp", "sqrt", "rint", "log10", "hypot")}
+_MATH |= {
+    getattr(np, name): name for name in ("sin", "cos", "tanh", "exp", "sqrt", "rint", "log10", "hypot", "floor", "ceil")
+}
 _MATH |= {getattr(np, name): name for name in ("minimum", "maximum", "isfinite", "isnan")} | {np.sign: "sign_of"}
 
 

@@ -59,7 +59,7 @@ def robot_files(scenario: Scenario, name: str) -> dict[str, str]:
 
 def controller_unit(options: ControlOptions, name: str, fmi: Fmi = 3) -> bytes:
     """The controller as an FMU: inputs `reading`, `reference`, `age`, output `command`; ConfigurationError as in C."""
-    prefix, side = c_name(name), control_side(options, split=True)
+    prefix, side = c_name(name), control_side(options, split=True, streams=True)
     files = {
         file: text for file, text in controller_files(options, name).items() if file in (f"{prefix}.h", f"{prefix}.c")
     }

@@ -33,6 +33,14 @@ class PacedMotion:
         self._stops += approach - self.approach
         self._start, self.approach = start, approach
 
+    def follow(self, motion: Reference) -> None:
+        """Replaces the motion by another one that begins at the same pose."""
+        self._motion = motion
+
+    def close(self) -> None:
+        """Ends a motion that has a source outside."""
+        getattr(self._motion, "close", lambda: None)()
+
     def hold(self, pose: np.ndarray) -> None:
         """Rests at a pose (6,) from now on."""
         self._held = pose

@@ -22,6 +22,7 @@ from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinem
 from stewart_drake.references.paced import RAMP, PacedMotion
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety import LEVELS, standstill_text
+from stewart_drake.safety.stream import StreamReference, Targets
 from stewart_drake.scenario.controller import Controller
 from stewart_drake.scenario.scenario import Scenario
 
@@ -59,8 +60,12 @@ class Start(NamedTuple):
     duration: float  # [s] of approach, motion and stop.
 
 
-def connected(scenario: Scenario, machine: Machine, seconds: float | None = None) -> Start:
+def connected(
+    scenario: Scenario, machine: Machine, seconds: float | None = None, targets: Targets | None = None
+) -> Start:
     """Connects a machine, and plans the approach from its present pose, `seconds` of the motion, and the stop.
+
+    A reference of kind stream follows `targets`, or what comes at its `udp`.
 
     Raises:
         ConfigurationError: `seconds` is out of range; the machine takes other commands than the model's motors, has
@@ -86,6 +91,8 @@ def connected(scenario: Scenario, machine: Machine, seconds: float | None = None
     start = plan_start(scenario, machine, motion, machine.read().angles, seconds)
     report = check_reference(model.robot, scenario.limits, motion, start.duration, scenario.gravity_in_base)
     report.raise_if_infeasible()
+    if isinstance(reference, StreamReference) and (live := reference.live(targets)) is not None:
+        motion.follow(live)
     return start
 
 
@@ -284,7 +291,7 @@ class Drive:
         except (Exception, SystemExit) as error:  # The log is kept after any error.
             self._stopped_by = self._stopped_by or failure_of(error, self.scenario)
         finally:
-            for close in (self._machine.disconnect, self._rows.close):
+            for close in (self._machine.disconnect, self._rows.close, self._motion.close):
                 # Ctrl-C while a slow machine disconnects does not lose the rows.
                 try:
                     close()

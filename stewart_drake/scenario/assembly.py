@@ -27,6 +27,7 @@ from stewart_drake.hardware.moving_base import base_signal
 from stewart_drake.loop.part import NOTHING, LoopContext, Part
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.safety import SafetyOptions, safety_part
+from stewart_drake.safety.stream import StreamReference
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
 
@@ -179,9 +180,15 @@ def command_path(
 
 
 def control_side(
-    options: ControlOptions, split: bool = False, reading: str = "reading", senses_base: bool = False
+    options: ControlOptions,
+    split: bool = False,
+    reading: str = "reading",
+    senses_base: bool = False,
+    streams: bool = False,
 ) -> ControlSide:
     """The controller's side, from its options alone; it reads the signal `reading`, and maybe `base_reading`.
+
+    With `streams` a reference of kind stream is a part, which gets targets from the signal `target`.
 
     Raises:
         ConfigurationError: A weights file that is missing or corrupt; a user's code that cannot be used; an observer
@@ -193,7 +200,7 @@ def control_side(
     if options.base_compensation != "none" and not senses_base:
         allowed = "none, for a controller without a simulation: nothing gives it the motion of the base"
         raise ConfigurationError("base_compensation", options.base_compensation, allowed)
-    return wire(options, context_of(options, split), reading)
+    return wire(options, context_of(options, split), reading, streams)
 
 
 def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
@@ -222,7 +229,7 @@ def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
     )
 
 
-def wire(options: ControlOptions, context: LoopContext, reading: str = "reading") -> ControlSide:
+def wire(options: ControlOptions, context: LoopContext, reading: str = "reading", streams: bool = False) -> ControlSide:
     """Parts of the controller's side in the order of signals within a tick, then those of its end.
 
     It is one function so that the names of signals are its variables: a variable called like a signal holds the
@@ -233,8 +240,12 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
     if reading != "plant_pose":
         logged["reading" if context.reading == 6 else "pose_reading"] = reading
 
-    sources, levels = _references(options)
+    (sources, levels), stream = _references(options), list[Part]()
     reference = sources[-1].signal.removeprefix(_UNTURNED)
+    if streams and isinstance(motion := options.reference, StreamReference):
+        ahead = options.preview
+        stream = [motion.part(ahead)]
+        sources = (Source("target", 6, lambda times: motion.targets(times + ahead)),)
 
     # Estimator: from a reading to pose and rate, now and when a command will act.
     period = options.estimator.period
@@ -314,7 +325,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
                 estimator = [made.connected(disturbance=part.signal("disturbance")) for made in estimator]
 
     law = _reporting(law, "controller_health", safety)
-    parts = [*levels, *estimator, *lead, tracking_error, law, *additions, *inverse, *density]
+    parts = [*stream, *levels, *estimator, *lead, tracking_error, law, *additions, *inverse, *density]
 
     # Safety layer: its input is the command that arrives at the motors.
     layer = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
@@ -40,7 +41,9 @@ from stewart_drake.robot.gravity import FixedGravity, GravityKey, Orientation, t
 from stewart_drake.robot.robot_files import AnyRobot
 from stewart_drake.robot.robot_scale import PAPER, defaults_of
 from stewart_drake.safety import SafetyOptions
+from stewart_drake.safety.stream import StreamReference
 from stewart_drake.scenario.keys import with_keys
+from stewart_drake.scenario.limits import ReferenceLimits, space_of
 
 
 class ModelOptions(Section, key="model"):
@@ -223,6 +226,13 @@ class ControlOptions(Section):
     def rules(self) -> None:
         """Periods fit each other, the tuner its estimator, and a move the robot."""
         place_users(self)
+        if isinstance(self.reference, StreamReference):
+            robot, gravity = self.controller_model.robot, self.controller_model.gravity
+            usual = 0.005 * robot.characteristic_length / PAPER.characteristic_length
+            limits = getattr(self, "limits", None) or ReferenceLimits(clearance=usual)
+            # A copy, because other options may have the same reference.
+            bound = self.reference.bound(robot.home_pose, partial(space_of, robot, limits, gravity))
+            self.__dict__["reference"] = bound
         if self.controller_model.robot.tool is not None:
             for place, motion in placed(self.reference, RecordedReference, "reference"):
                 if motion.of_platform:

@@ -31,7 +31,8 @@ class Controller:
 
     Args:
         options: Model of the machine, reference, controller, tuner, estimator and safety layer; a Scenario has them.
-        sources: What takes the place of signals of time: `reference` (18,), and `reference_ahead`, at a time [s].
+        sources: What takes the place of signals of time: `reference` (18,), and `reference_ahead`, at a time [s]; or
+            `target` (6,), the newest pose that a reference of kind stream is to follow.
 
     Raises:
         ConfigurationError: A controller that is a LeafSystem, which needs a Diagram; as `loop_of`.
@@ -46,7 +47,8 @@ class Controller:
     def __init__(
         self, options: ControlOptions, sources: Mapping[str, Callable[[float], np.ndarray]] | None = None
     ) -> None:
-        side, self._age, self._options = control_side(options, split=True), np.zeros(1), options
+        side = control_side(options, split=True, streams="target" in (sources or {}))
+        self._age, self._options = np.zeros(1), options
         parts, self._safe = controller_parts(options, side, self._age), side.safety is not None
         self.period, self._tick, self.reading = options.reading_period, side.context.period, side.context.reading
         outside = {side.reading: self.reading, **{source.signal: source.size for source in side.sources}}

@@ -10,24 +10,21 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from stewart_drake.base.config import Positive, Section
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat6, Matrix, Vec3, Vec6, Vec9, Vector, record
+from stewart_drake.mechanics import reach_laws
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
-from stewart_drake.mechanics.dynamics_laws import loads, twists_of_motion
 from stewart_drake.mechanics.kinematics import over_rows
-from stewart_drake.mechanics.kinematics_laws import LEGS, Legs, Robot, cross, dot, robot_record, turned
-from stewart_drake.mechanics.linear_algebra import set_to
-from stewart_drake.mechanics.singularities import PLANNED, PoseMeasures, measure_pose
+from stewart_drake.mechanics.kinematics_laws import robot_record
+from stewart_drake.mechanics.pose_margins import MARGINS, Measures, PoseLimits, margin_rows, measure_rows
+from stewart_drake.mechanics.singularities import PLANNED
 from stewart_drake.robot import Gravity, RobotParameters, base_reading
 from stewart_drake.robot.leg import JOINT_SWING
 from stewart_drake.robot.robot_scale import LENGTH
@@ -110,6 +107,9 @@ PLACES: dict[str, list[tuple[int | None, str]]] = {
     "clearance": [(one[1], "{} {} to {} {}".format(*one, *other)) for one, other in _PAIRS],
 }
 """Leg and name of the columns of a limit's margins."""
+_ENDS = [0, *itertools.accumulate(len(PLACES[limit]) for limit in RULES)]
+COLUMNS = {limit: slice(*ends) for limit, ends in zip(RULES, itertools.pairwise(_ENDS), strict=True)}
+"""Columns of a limit in the margins of `pose_margins.margins_of`."""
 
 
 @dataclass(frozen=True)
@@ -159,18 +159,31 @@ def limit_margins(
     """Margins (n, k) of a motion (n, 6) to the limits that are on, by `PLACES`; NaN where a rod cannot span."""
     m = measure(robot, pose, pose_rate, pose_acceleration, gravity)
     reached = m["assembly_sign"][~np.isnan(m["assembly_sign"])]
-    margins: dict[str, Callable[[float], np.ndarray]] = {
-        "reach": lambda bound: m["reach_margin"] - (1.0 - bound),
-        "euler_pitch": lambda bound: bound - np.abs(pose[:, 1:2]),
-        "conditioning": lambda bound: (m["assembly_sign"] * reached[:1].sum() * m["conditioning"] - bound)[:, None],
-        "transmission": lambda bound: m["transmission"] - bound,
-        "joint_swing": lambda bound: bound - _swing(robot, m),
-        "clearance": lambda bound: m["distance"] - bound,
-        "crank_range": lambda bound: np.subtract(*_stroke(robot, m)) - bound,
-        "crank_speed": lambda bound: bound - m["speed"],
-        "torque": lambda bound: bound * robot.effort_shares - m["torque"],
+    numbers, rows = pose_limits(robot, limits, gravity), np.empty((len(m), MARGINS))
+    numbers["assembly_sign"] = reached[:1].sum()
+    over_rows(margin_rows, (numbers,), (np.array(pose, dtype=float, order="C"), m, rows))
+    return {name: rows[:, COLUMNS[name]] for name in limit_bounds(robot, limits)}
+
+
+def pose_limits(robot: RobotParameters, limits: ReferenceLimits, gravity: Gravity) -> PoseLimits:
+    """The limits as numbers, on the side of the singularities on which home is."""
+    bounds, home = limit_bounds(robot, limits), _at_home(robot)
+    least = {"conditioning", "transmission", "clearance"}
+    given = {
+        name: bounds.get(name, -np.inf if name in least else np.inf) for name in PoseLimits.fields if name in RULES
     }
-    return {name: margins[name](bound) for name, bound in limit_bounds(robot, limits).items()}
+    half, middle = _ranges(robot)
+    arrays = {"torque": given.pop("torque") * robot.effort_shares, "crank_middle": middle, "crank_half": half}
+    arrays |= {"home_rod": home["rod"], "assembly_sign": home["assembly_sign"]}
+    return PoseLimits.new(**given, **arrays, thickness=2.0 * robot.link_radius, base=base_reading(gravity))
+
+
+def space_of(
+    robot: RobotParameters, limits: ReferenceLimits, gravity: Gravity, weight: float | None = None
+) -> reach_laws.Space:
+    """A robot with its limits, and a weight [m/rad] of turns; None for the robot's characteristic length."""
+    numbers = {"robot": robot_record(robot), "limits": pose_limits(robot, limits, gravity)}
+    return reach_laws.Space.new(**numbers, weight=weight or robot.characteristic_length)
 
 
 SLACK = 0.01
@@ -196,20 +209,6 @@ def longest_excursion(
     return max(excursions.values(), key=lambda excursion: excursion[1], default=None)
 
 
-class Measures(PoseMeasures):
-    """Measures of a pose in motion; NaN, but for `reach_margin`, where a rod cannot span.
-
-    Exactly at a singularity speeds, which have no sign here, and torques are infinite.
-    """
-
-    rod: Annotated[np.ndarray, (12, 3)]  # Directions of the rods in P; then in their cranks: along, lateral, e_N.
-    angle: Vec6  # [rad] of the cranks.
-    distance: Annotated[np.ndarray, (60,)]  # [m] between surfaces of links, by `PLACES`; negative where they overlap.
-    torque: Vec6  # [N m] size of the motor torque.
-    force: float  # [N], see `strength`.
-    moment: float  # [N m]
-
-
 POSE_MEASURES = (
     *("reach_margin", "transmission", "conditioning", "ball_swing", "universal_swing", "stroke", "clearance"),
     *("holding_torque", "force", "moment"),
@@ -229,7 +228,7 @@ def measure(
     """`Measures` records (n,) of a motion (n, 6)."""
     motion = [np.array(rows, dtype=float, order="C") for rows in (pose, pose_rate, pose_acceleration)]
     measures = np.full((len(motion[0]), Measures.layout.itemsize // 8), np.nan).view(Measures.layout)[:, 0]
-    over_rows(_measure, (robot_record(robot), base_reading(gravity), 2.0 * robot.link_radius), (*motion, measures))
+    over_rows(measure_rows, (robot_record(robot), base_reading(gravity), 2.0 * robot.link_radius), (*motion, measures))
     return measures
 
 
@@ -270,126 +269,15 @@ def _swing(robot: RobotParameters, measures: np.ndarray) -> np.ndarray:
     return np.arctan2(across, a * x + b * y + c * z)
 
 
-def _stroke(robot: RobotParameters, measures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Half of the cranks' ranges (6,) [rad], and how far (n, 6) [rad] the cranks are from the middle of theirs."""
+def _ranges(robot: RobotParameters) -> tuple[np.ndarray, np.ndarray]:
+    """Half (6,) [rad] and middle (6,) of the cranks' ranges; infinite halves of a robot without stops."""
     stops = np.isfinite(robot.crank_angle_ranges)
     low, high = np.where(stops, robot.crank_angle_ranges, [-2.0 * np.pi, 2.0 * np.pi]).T
-    off = measures["angle"] - 0.5 * (low + high)
-    return 0.5 * (high - low) if stops.any() else np.full(6, np.inf), np.abs(np.arctan2(np.sin(off), np.cos(off)))
+    return 0.5 * (high - low) if stops.any() else np.full(6, np.inf), 0.5 * (low + high)
 
 
-@njit
-def _rod_directions(legs: Legs, out: Matrix) -> None:
-    lateral, to_platform = np.empty(3), np.empty((3, 3))
-    for i in range(3):
-        for k in range(3):
-            to_platform[i, k] = legs.rotation[k, i]
-    for i in range(6):
-        turned(to_platform, legs.e_l[i], out[i])
-        cross(legs.e_n[i], legs.crank[i], lateral)
-        out[6 + i, 0], out[6 + i, 1] = dot(legs.e_l[i], legs.crank[i]), dot(legs.e_l[i], lateral)
-        out[6 + i, 2] = legs.transmission[i]
-
-
-@njit
-def segment_distance(start: Vec3, way: Vec3, other_start: Vec3, other_way: Vec3) -> float:
-    """Distance [m] between two segments, by start and vector to the end: Ericson, Real-Time Collision Detection (2005).
-
-    Section 5.1.9.
-    """
-    uu, uv, vv, ur, vr = 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(3):
-        u, v, r = way[k], other_way[k], start[k] - other_start[k]
-        uu += u * u
-        uv += u * v
-        vv += v * v
-        ur += u * r
-        vr += v * r
-    # For parallel segments any s serves as a start: t follows from it, and s again from the clamped t.
-    s, tiny, determinant = 0.0, 2.2250738585072014e-308, uu * vv - uv * uv
-    if determinant > 2.220446049250313e-16 * uu * vv:
-        s = min(1.0, max(0.0, (uv * vr - ur * vv) / determinant))
-    t = min(1.0, max(0.0, (uv * s + vr) / max(vv, tiny)))
-    s = min(1.0, max(0.0, (uv * t - ur) / max(uu, tiny)))
-    square = 0.0
-    for k in range(3):
-        gap = start[k] - other_start[k] + s * way[k] - t * other_way[k]
-        square += gap * gap
-    return np.sqrt(square)
-
-
-@njit
-def _link_distances(robot: Robot, legs: Legs, thickness: float, out: Vector) -> None:
-    """Fills `Measures.distance`: distances of axes of cranks, then rods, in pairs, less the links' thickness [m]."""
-    start, way = np.empty((12, 3)), np.empty((12, 3))
-    for i in range(6):
-        for k in range(3):
-            way[i, k], way[6 + i, k] = robot.crank_length[i] * legs.crank[i, k], robot.rod_length[i] * legs.e_l[i, k]
-            start[i, k] = robot.shaft[i, k]
-            start[6 + i, k] = start[i, k] + way[i, k]
-    pair = 0
-    for i in range(12):
-        for j in range(i + 1, 12):
-            if j != i + 6:
-                out[pair] = segment_distance(start[i], way[i], start[j], way[j]) - thickness
-                pair += 1
-
-
-@njit
-def strength(legs: Legs, inverse: Mat6, torque: Vec6, limit: Vec6) -> tuple[float, float]:
-    """Largest force [N] and largest moment [N m] that can be exerted in every direction, without the other one.
-
-    To exert the wrench w the motors need T = t + A w, with t the holding torque and A the inverse of the map tau of
-    (18), `statics`. Over all forces of size r the term of motor i runs from -r |a_i| to r |a_i|, a_i the three entries
-    of row i of A that belong to the force (or to the moment): the largest r is min_i (T_max - |t_i|) / |a_i|, and zero
-    where the weight alone is too much.
-    """
-    force, moment, row = np.inf, np.inf, np.empty(6)
-    for i in range(6):
-        spare, size = limit[i] - torque[i], abs(legs.lever[i])
-        for k in range(6):
-            row[k] = inverse[k, i]
-        if not spare > 0.0:
-            return 0.0, 0.0
-        force = min(force, spare / (size * np.sqrt(dot(row[3:], row[3:]))))
-        moment = min(moment, spare / (size * np.sqrt(dot(row[:3], row[:3]))))
-    return force, moment
-
-
-@njit
-def _measure(
-    robot: Robot, base: Vec9, thickness: float, poses: Matrix, rates: Matrix, accelerations: Matrix, out: Measures
-) -> None:
-    """Fills `Measures` records (n,), which are NaN before."""
-    robot, inverse = record(robot), np.empty((6, 6))
-    memory: Any = np.empty(1, LEGS)
-    twist, twist_rate, wrench, of_cranks = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
-    for n in range(len(poses)):
-        row: Any = out[n : n + 1]
-        legs: Legs = record(memory)
-        m: Measures = record(row)
-        twists_of_motion(poses[n], rates[n], accelerations[n], twist, twist_rate)
-        for i in range(6):
-            for k in range(6):
-                inverse[i, k] = 1.0 if i == k else 0.0
-        if not measure_pose(robot, poses[n], twist, 1e-14, np.inf, legs, inverse, m):
-            set_to(m.transmission[:], np.nan)
-            continue
-        _rod_directions(legs, m.rod[:])
-        _link_distances(robot, legs, thickness, m.distance[:])
-        singular = m.assembly_sign == 0.0
-        for i in range(6):
-            m.angle[i] = np.arctan2(legs.sine[i], legs.cosine[i])
-            singular = singular or m.transmission[i] == 0.0
-        if singular:
-            set_to(m.speed[:], np.inf)
-            set_to(m.torque[:], np.inf)
-            m.force, m.moment = 0.0, 0.0
-            continue
-        loads(robot, legs, twist, twist_rate, base, wrench, of_cranks)
-        for i in range(6):
-            force = 0.0
-            for k in range(6):
-                force += inverse[k, i] * wrench[k]
-            m.torque[i], m.speed[i] = abs(legs.lever[i] * force + of_cranks[i]), abs(m.speed[i])
-        m.force, m.moment = strength(legs, inverse, m.torque[:], robot.effort_limit[:])
+def _stroke(robot: RobotParameters, measures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Half of the cranks' ranges (6,) [rad], and how far (n, 6) [rad] the cranks are from the middle of theirs."""
+    half, middle = _ranges(robot)
+    off = measures["angle"] - middle
+    return half, np.abs(np.arctan2(np.sin(off), np.cos(off)))

@@ -8,7 +8,7 @@ from strategies import ROBOT, poses, vectors
 
 from stewart_drake import ReferenceLimits, inverse_dynamics, inverse_kinematics, leg_geometry
 from stewart_drake.mechanics.kinematics import conditioning, pose_jacobian, reach_margin
-from stewart_drake.scenario import limits
+from stewart_drake.mechanics.pose_margins import segment_distance as distance_of
 from stewart_drake.scenario.limits import PLACES, limit_margins
 
 ALL = ReferenceLimits()
@@ -24,7 +24,7 @@ def margins_at(pose, rate=None, acceleration=None, within=ALL, robot=ROBOT):
 
 def segment_distance(a, b, c, d):
     a, b, c, d = (np.array(point, dtype=float) for point in (a, b, c, d))
-    return limits.segment_distance(a, b - a, c, d - c)
+    return distance_of(a, b - a, c, d - c)
 
 
 def brute_distance(a, b, c, d):

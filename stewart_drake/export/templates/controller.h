@@ -5,7 +5,7 @@
 
 #define @UPPER@_PERIOD @PERIOD@ /* [s] between two steps */
 #define @UPPER@_READING @READING@ /* numbers of a reading: @MEANS@ */
-#define @UPPER@_REFERENCE @REFERENCE@ /* numbers of a sample of the reference, 18 of @MOTIONS@ */
+#define @UPPER@_REFERENCE @REFERENCE@ /* numbers of a sample of the reference, @SAMPLE@ */
 #define @UPPER@_ROWS @ROWS@ /* samples of the scenario's reference in @NAME@_reference.c */
 
 #ifdef __cplusplus
@@ -24,7 +24,7 @@ void @NAME@_reset(struct @NAME@_controller *controller);
 /* One step.
 
    reading: @MEANS@.
-   reference: (@REFERENCE@,) pose [rad, m], rate and acceleration, six numbers each, of @MOTIONS@.
+   reference: (@REFERENCE@,) @MEANING@.
    age: [s] of the reading, beyond that in the scenario.
    command: (6,) out, for the motors [@UNIT@].
 
