@@ -75,7 +75,7 @@ class Instrument(NamedTuple):
 _HALF_DEGREE = math.radians(0.5)
 INSTRUMENTS = {
     "tracker": Instrument(_AXES, 2e-5, 1e-4, fit="all"),
-    "camera": Instrument(_AXES, 5e-4, 5e-3, fit="all"),
+    "camera": Instrument(_AXES, 5e-4, 5e-3),
     "imu": Instrument("rpy", 5e-4, _HALF_DEGREE),
     "tilt": Instrument("rp", 5e-4, _HALF_DEGREE),
     "level": Instrument("rp", 5e-4, math.radians(0.1), geometry.FRAMES, "yXYZ"),
