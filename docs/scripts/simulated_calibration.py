@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stewart_drake.estimation.calibration import calibrate, located
+from stewart_drake.estimation.calibration import calibrate
 from stewart_drake.estimation.geometry import (
     CRANK,
     GAIN,
@@ -26,8 +26,9 @@ from stewart_drake.estimation.geometry import (
     transform,
     transform_of,
 )
+from stewart_drake.estimation.pose_fits import located
 from stewart_drake.estimation.poses import MeasurementNoise, Measurements
-from stewart_drake.mechanics.kinematics import cross, forward_kinematics, roll_pitch_yaw
+from stewart_drake.mechanics.kinematics import cross, forward_kinematics, inverse_kinematics, roll_pitch_yaw
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
@@ -80,6 +81,16 @@ def measured(
     place = observed[:, :3, 3] + noise.position * rng.standard_normal((len(pose), 3))
     angles = np.rint(targets.angles / step) * step
     return Measurements(np.concatenate([roll_pitch_yaw(turn), place], axis=-1), angles, "simulated poses")
+
+
+def placed(
+    robot: RobotParameters, targets: Measurements, noise: MeasurementNoise, rng: np.random.Generator
+) -> Measurements:
+    """What encoders say of a robot that was brought to planned poses by hand, nearly: by a level, or into a jig."""
+    turn = exponential(noise.rotation * rng.standard_normal((len(targets), 3))) @ targets.marker[:, :3, :3]
+    place = targets.pose[:, 3:] + noise.position * rng.standard_normal((len(targets), 3))
+    angles = inverse_kinematics(robot, np.concatenate([roll_pitch_yaw(turn), place], axis=-1)) / robot.servo_gains
+    return Measurements(targets.pose, angles, "simulated poses")
 
 
 def aligned(robot: RobotParameters, guess: RobotParameters, known: Collection[str] = ()) -> RobotParameters:

@@ -1,46 +1,34 @@
-"""A robot's geometry and servos from measured poses: two least-squares problems in turn; or why poses do not fit.
+"""A robot's geometry and servos from measured poses, or why poses do not fit.
 
-First the errors of the rods' lengths, which exist for any guess where whole poses are measured; then the instrument's
-errors, weighted by their covariance: the maximum of the likelihood. What is fitted is chosen by the Bayesian
-information criterion.
+What is fitted is chosen by the corrected Akaike information criterion: what predicts poses best.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
-import scipy.optimize
-from scipy.spatial.transform import Rotation
-from scipy.special import stdtrit
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.tables import AXES, numbers_to_csv
 from stewart_drake.estimation import core, geometry
-from stewart_drake.estimation.core import Estimate, Result, Unidentifiable
+from stewart_drake.estimation.core import Estimate, Result
 from stewart_drake.estimation.corrections import corrections
 from stewart_drake.estimation.geometry import FITS, KINDS, OF_ROBOT, PARAMETERS, PER_LEG, SIZE, PoseModel
+from stewart_drake.estimation.pose_fits import ClosureFit, fewest_poses, fit_closures, fit_tracker, whitening
 from stewart_drake.estimation.poses import INSTRUMENTS, MeasurementNoise, Measurements, load_measurements
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
-_CONFIDENCE = 0.95
 _NOISY = 2.0  # Ratio of errors to the stated noise above which this noise, or the model, is doubtful.
-_SEARCH = {"x_scale": 0.1, "xtol": 1e-12, "ftol": 1e-12, "gtol": None}
-"""Steps are at most a tenth of `scales`: from a crude guess, a larger step may flip a motor's axis."""
-_FIRST_CALLS = 10  # Evaluations of the errors in the first fit, at most: six suffice if the model fits at all.
-_CALLS = 200  # The same in the last fit.
-_LEAST_POSES = 4  # to locate the tracker's frames
 _SAME = 1e-9  # [rad, m] less than any tracker's last digit, more than a file's.
+_HOPELESS = 3.0  # [-] closures over those of the richest fit, from which a simpler one is not tried to the end.
 _MISFIT = _BETTER = 5.0
 """[-] closures over their noise from which a reason is looked for, and how many times smaller one must make them."""
-_FAR = 0.3  # [-] change of a parameter, in `scales`, that nobody's guess is off by.
-_Function = Callable[[np.ndarray], np.ndarray]
 
 
 class Choice(NamedTuple):
@@ -49,7 +37,7 @@ class Choice(NamedTuple):
     fit: str  # Of `geometry.FITS`.
     parameters: int
     noise_ratio: float  # [-] errors over the stated noise.
-    criterion: float  # Bayesian information criterion; infinite where the poses are too few or it does not fit.
+    criterion: float  # Corrected Akaike information criterion; infinite where the poses are too few or it does not fit.
     problem: str = ""
 
 
@@ -231,7 +219,7 @@ class Calibration(Result):
             ]
             for choice in self.choices
         ]
-        return ["fit", "numbers", "remaining errors over noise", "BIC above the least"], rows
+        return ["fit", "numbers", "remaining errors over noise", "AICc above the least"], rows
 
     def robot_file(self) -> str:
         error = dict(self.summary())["pose error after (RMS)"]
@@ -266,7 +254,7 @@ def calibrate(
             platform's joints do.
         hold: Parameters that keep their value, of `geometry.KINDS`.
         fit: What to estimate, of `geometry.FITS`: homing offsets alone; with servo gains; geometry with offsets; or
-            all. None for the best by the Bayesian information criterion.
+            all. None for the best by the corrected Akaike information criterion.
 
     Returns:
         The calibrated robot, with intervals and residuals.
@@ -282,41 +270,57 @@ def calibrate(
     if not set(geometry.FRAMES) <= set(known_frames):
         measurements.refuse_repeated()
     _refuse_plan(robot, measurements)
-    # With what is held, two may be the same.
-    held = {frozenset(set(KINDS) - set(FITS[name]) | set(hold)): name for name in ((fit,) if fit else reversed(FITS))}
-    ways = {
-        name: geometry.free_directions(robot, known_frames, kinds, measurements.measured)
-        for kinds, name in held.items()
-        if len(kinds) < len(KINDS) or len(held) == 1
-    }
+    ways = _ways(robot, known_frames, hold, fit, measurements.measured)
+    enough = [name for name in ways if fewest_poses(ways[name], measurements) <= len(measurements)] or [*ways][-1:]
+    few = [Choice(name, ways[name].shape[1], np.inf, np.inf, "too few poses") for name in ways if name not in enough]
+
+    def closures(name: str, some: Measurements = measurements) -> ClosureFit:
+        return fit_closures(robot, known_frames, ways[name], noise, some)
+
     # The richest shows best whether anything can fit.
-    by_size = sorted(ways, key=lambda name: -ways[name].shape[1])
-    richest = next((name for name in by_size if _least(ways[name], measurements) <= len(measurements)), by_size[-1])
-    start = _explained(partial(_fit_closures, robot, known_frames, ways[richest], noise), robot, measurements)
-    few = by_size[: by_size.index(richest)]
-    choices = [Choice(name, ways[name].shape[1], np.inf, np.inf, "too few poses") for name in few]
-    white, results = _whitening(start, noise), dict[str, tuple[_ClosureFit, Estimate, float]]()
-    for name in by_size[by_size.index(richest) :]:
-        try:
-            begin = start if name == richest else _fit_closures(robot, known_frames, ways[name], noise, measurements)
-            estimate, ratio, _ = _fit_tracker(begin, white)
-        except ConfigurationError:
-            if name == richest:
-                raise
-            choices.append(Choice(name, ways[name].shape[1], np.inf, np.inf, "does not fit"))
-            continue
-        results[name] = begin, estimate, ratio
-        count, unknown = white.shape[0] * white.shape[1], estimate.directions.shape[1]
-        # The richest fit shows whether the noise is larger than stated.
-        errors = max(1, count - unknown) * (ratio / max(1.0, results[richest][2])) ** 2
-        choices.append(Choice(name, unknown, ratio, errors + unknown * math.log(count)))
-    best = min(choices, key=lambda choice: choice.criterion).fit
-    start, estimate, noise_ratio = results[best]
+    start = _explained(partial(closures, enough[0]), robot, measurements)
+    choices, fits = _choices(enough, start, closures, noise)
+    # The simplest of equals.
+    best = min(reversed(choices), key=lambda choice: round(choice.criterion, 3)).fit
+    estimate, noise_ratio = fits[best]
     known = tuple(frame for frame in geometry.FRAMES if frame in known_frames)
     kept = tuple(kind for kind in KINDS if kind in hold or kind not in FITS[best])
     calibrated = geometry.as_robot(robot, estimate.values)
-    fitted = estimate, noise_ratio, best, tuple(choices)
+    fitted = estimate, noise_ratio, best, (*few, *choices)
     return Calibration(calibrated, start.model, measurements, known, kept, *fitted)
+
+
+def _ways(
+    robot: RobotParameters, known: Collection[str], hold: Collection[str], fit: str | None, measured: np.ndarray
+) -> dict[str, np.ndarray]:
+    """What can be fitted, the richest first: free directions by the name of a fit; with what is held two may be one."""
+    names = (fit,) if fit else tuple(FITS)
+    held = {frozenset(set(KINDS) - set(FITS[name]) | set(hold)): name for name in reversed(names)}
+    some = {kinds: name for kinds, name in held.items() if len(kinds) < len(KINDS)} or held
+    ways = {name: geometry.free_directions(robot, known, kinds, measured) for kinds, name in some.items()}
+    return dict(sorted(ways.items(), key=lambda way: -way[1].shape[1]))
+
+
+def _choices(
+    names: Sequence[str], start: ClosureFit, closures: Callable[[str], ClosureFit], noise: MeasurementNoise
+) -> tuple[list[Choice], dict[str, tuple[Estimate, float]]]:
+    """The fits and their criteria; `start` is that of the first, which is the richest."""
+    choices, fits, white = list[Choice](), dict[str, tuple[Estimate, float]](), whitening(start, noise)
+    count, largest = white.shape[0] * white.shape[1], 1.0
+    for name in names:
+        begin = closures(name) if fits else start
+        unknown = begin.directions.shape[1]
+        if fits and begin.misfit > _HOPELESS * max(1.0, start.misfit):
+            choices.append(Choice(name, unknown, np.inf, np.inf, "do not fit"))
+            continue
+        estimate, ratio, _ = fit_tracker(begin, white)
+        fits[name] = estimate, ratio
+        # The richest fit shows whether the noise is larger than stated.
+        largest = largest if len(fits) > 1 else max(largest, ratio)
+        errors = max(1, count - unknown) * (ratio / largest) ** 2
+        criterion = errors + 2.0 * unknown * count / max(1, count - unknown - 1)
+        choices.append(Choice(name, unknown, ratio, criterion))
+    return choices, fits
 
 
 def _refuse_plan(robot: RobotParameters, measurements: Measurements) -> None:
@@ -328,183 +332,9 @@ def _refuse_plan(robot: RobotParameters, measurements: Measurements) -> None:
         raise ConfigurationError(measurements.source, got, "measured poses; is this a plan, not measured yet?")
 
 
-def _least(free: np.ndarray, measurements: Measurements) -> int:
-    """Fewest poses that determine numbers along free directions (`SIZE`, k)."""
-    return free.shape[1] // int(measurements.measured.sum()) + 1
-
-
-class _ClosureFit(NamedTuple):
-    """The smallest closures, at a step (k,) along identifiable `directions` (`SIZE`, k) [m, rad].
-
-    `misfit` [-] is their size over their noise, `relative` (`OF_ROBOT`,) [-] the size of each change in `scales`.
-    """
-
-    model: PoseModel
-    measurements: Measurements
-    directions: np.ndarray
-    unidentifiable: tuple[Unidentifiable, ...]
-    step: np.ndarray
-    change: np.ndarray
-    relative: np.ndarray
-    misfit: float
-
-    @property
-    def score(self) -> float:
-        return self.misfit if self.relative.max() <= _FAR else np.inf
-
-    def closures(self, angle: float = 0.0) -> np.ndarray:
-        """Errors (n, 6) [m] of the rods' lengths at readings that are larger by `angle` [rad]."""
-        at = self.model.platform(self.change, self.measurements.marker)
-        return self.model.closures(self.change, at, self.measurements.angles + angle)
-
-    def off(self) -> np.ndarray:
-        """Errors (n,) of the rows: of the rods' lengths, or where not all is measured of the instrument."""
-        errors = self.closures() if self.model.near is None else self.instrument_error(self.change)
-        return np.asarray(np.abs(errors).max(axis=-1))
-
-    def instrument_error(self, change: np.ndarray) -> np.ndarray:
-        """Measured minus predicted poses (n, k) [rad, m]."""
-        return self.model.tracker_error(change, self.predicted(change), self.measurements.marker)
-
-    def predicted(self, change: np.ndarray) -> np.ndarray:
-        """Poses (n, 4, 4) of P at the readings."""
-        near = self.model.platform(change, self.measurements.marker)
-        at, error = self.model.predicted(change, self.measurements.angles, near)
-        if (error > geometry.CLOSED).any():
-            key = f"{self.measurements.source}: row {int(error.argmax()) + 1}, crank_angle"
-            got = f"readings at which no calibrated legs close: a rod is off by {error.max():.3g} m"
-            raise ConfigurationError(key, got, "a pose that is not singular, and a guess close to the robot")
-        return at
-
-
-def _minimised(errors: _Function, slope: _Function, directions: np.ndarray, start: np.ndarray, calls: int) -> Any:
-    """The result of `scipy.optimize.least_squares` for the step along directions; errors and slope take the change."""
-    return scipy.optimize.least_squares(
-        lambda step: errors(directions @ step).ravel(),
-        start,
-        lambda step: (slope(directions @ step) @ directions).reshape(-1, len(step)),
-        max_nfev=calls,
-        **_SEARCH,
-    )
-
-
-def _fit_closures(
-    guess: RobotParameters,
-    known: Collection[str],
-    free: np.ndarray,
-    noise: MeasurementNoise,
-    measurements: Measurements,
-) -> _ClosureFit:
-    """The first of the two least-squares problems: the smallest errors of the rods' lengths."""
-    least = _least(free, measurements)
-    if len(measurements) < least:
-        allowed = f"at least {least} poses for {free.shape[1]} unknown numbers, better some 60"
-        raise ConfigurationError(measurements.source, f"{len(measurements)} rows", allowed)
-    model, size, nothing = located(guess, measurements, known), geometry.scales(guess), np.zeros(SIZE)
-    observed, angles = measurements.marker, measurements.angles
-    at = model.platform(nothing, observed)
-    slope = model.whitening(nothing, at, angles, noise) @ model.tracker_slope(nothing, at, angles)
-    slope = (slope @ (size[:, None] * free)).reshape(-1, free.shape[1])
-    free, unidentifiable = core.identifiable(slope, free, size, geometry.LARGEST_DEVIATION, geometry.PREFERENCE)
-    directions, cranks = size[:, None] * free, float(guess.crank_lengths.max())
-    begin = np.zeros(directions.shape[1])
-    if model.near is not None:
-        start = _ClosureFit(model, measurements, directions, unidentifiable, begin, nothing, nothing[:OF_ROBOT], 0.0)
-        estimate, ratio, step = _fit_tracker(start, _whitening(start, noise))
-        relative = np.abs(estimate.values / size)[:OF_ROBOT]
-        return start._replace(step=step, change=estimate.values, relative=relative, misfit=ratio)
-    unit = math.hypot(noise.position, guess.characteristic_length * noise.rotation, cranks * noise.encoder)
-    result = _minimised(
-        lambda change: model.closures(change, model.platform(change, observed), angles) / unit,
-        lambda change: model.closure_slope(change, observed, angles) / unit,
-        directions,
-        begin,
-        _FIRST_CALLS,
-    )
-    misfit = math.sqrt(2.0 * result.cost / (result.fun.size - result.x.size))
-    change = directions @ result.x
-    relative = np.abs(change / size)[:OF_ROBOT]
-    return _ClosureFit(model, measurements, directions, unidentifiable, result.x, change, relative, misfit)
-
-
-def _whitening(start: _ClosureFit, noise: MeasurementNoise) -> np.ndarray:
-    """Weights (n, k, k) of the instrument's errors."""
-    return start.model.whitening(start.change, start.predicted(start.change), start.measurements.angles, noise)
-
-
-def _fit_tracker(start: _ClosureFit, white: np.ndarray) -> tuple[Estimate, float, np.ndarray]:
-    """The second of the two least-squares problems: the smallest errors of the instrument, weighted.
-
-    Returns the estimate, the size of the errors over the noise, and the step (k,) along the directions.
-    """
-    model, directions, angles = start.model, start.directions, start.measurements.angles
-    result = _minimised(
-        lambda change: np.einsum("nij,nj->ni", white, start.instrument_error(change)),
-        lambda change: white @ model.tracker_slope(change, start.predicted(change), angles, start.measurements.marker),
-        directions,
-        start.step,
-        _CALLS,
-    )
-    freedom = max(1, result.fun.size - result.x.size)
-    ratio = math.sqrt(2.0 * result.cost / freedom)
-    # Scaled by what the residuals say of the noise, so that noise which is larger than stated widens the intervals.
-    root = ratio * np.linalg.inv(np.linalg.qr(result.jac, mode="r"))
-    estimate = Estimate(
-        PARAMETERS,
-        geometry.scales(model.guess),
-        directions @ result.x,
-        directions,
-        root @ root.T,
-        result.jac.T @ result.jac,
-        start.unidentifiable,
-        float(stdtrit(freedom, 0.5 + 0.5 * _CONFIDENCE)),
-    )
-    return estimate, ratio, result.x
-
-
-def located(guess: RobotParameters, measurements: Measurements, known: Collection[str]) -> PoseModel:
-    """The guess with the frames at which its own poses at the readings come nearest to the measured ones."""
-    measured, plain = measurements.measured, PoseModel(guess, measured=measurements.measured)
-    believed, good = plain.assembled(measurements.angles)
-    observed, fixed = measurements.marker[good], geometry.without_effect(measured)
-    free = [at for at in range(OF_ROBOT, SIZE) if PARAMETERS[at].kind not in known and at not in fixed]
-    if len(observed) < (_LEAST_POSES if free else 1) or not (measured.all() or good.all()):
-        got = f"readings, of which only {len(observed)} of {len(measurements)} are possible for this robot"
-        allowed = "readings in rad (or _deg), in the order of the legs, near the crank angles of the guess"
-        raise ConfigurationError(f"{measurements.source}: crank_angle", got, allowed)
-    plain = replace(plain, near=None if measured.all() else believed)
-    if not free:
-        return plain
-    base, marker, length = np.eye(4), np.eye(4), guess.characteristic_length
-    size = np.array([length] * 3 + [1.0] * 3)
-    if "base" not in known and (measured[2] or measured[3:].all()):
-        # Turns from pose to pose are turned by the base alone; shifts nearly so, and they show it if no pose is turned.
-        known_parts = size * np.repeat([measured[:3].all(), measured[3:].all()], 3)
-        there, here = (
-            np.concatenate(np.hsplit(known_parts * geometry.steps(poses), 2)) for poses in (observed, believed)
-        )
-        turn = Rotation.align_vectors(there, here)[0].as_matrix()
-        if not measured[3:].any():
-            turn = geometry.heading_of(turn)
-        base = geometry.transform(turn, (observed[:, :3, 3] - believed[:, :3, 3] @ turn.T).mean(axis=0) * measured[3:])
-    if "platform" not in known and measured[:3].all():
-        turns = np.swapaxes(believed[:, :3, :3], -1, -2) @ base[:3, :3].T @ observed[:, :3, :3]
-        marker = geometry.transform(Rotation.from_matrix(turns).mean().as_matrix(), np.zeros(3))
-    elif "platform" not in known and measured[0]:
-        # The vertical as the platform has it and as the instrument does.
-        marker[:3, :3] = Rotation.align_vectors(believed[:, 2, :3], observed[:, 2, :3])[0].as_matrix()
-    model = replace(plain, base=base, marker=marker)
-
-    def error(frames: np.ndarray) -> np.ndarray:
-        return (size[measured] * model.tracker_error(directions @ frames, believed, observed)).ravel()
-
-    directions = np.eye(SIZE)[:, free]
-    return model.with_frames(directions @ scipy.optimize.least_squares(error, np.zeros(len(free)), x_scale="jac").x)
-
-
 def _explained(
-    fit: Callable[[Measurements], _ClosureFit], guess: RobotParameters, measurements: Measurements
-) -> _ClosureFit:
+    fit: Callable[[Measurements], ClosureFit], guess: RobotParameters, measurements: Measurements
+) -> ClosureFit:
     """The fit of measurements; refuses them if others, that are right if something is wrong, fit much better."""
     start, reason, best = None, None, np.inf
     try:
@@ -528,8 +358,8 @@ def _explained(
     if start.score == np.inf:
         at = int(start.relative.argmax())
         parameter = PARAMETERS[at]._replace(owner="")
-        off = f"{abs(start.change[at]):.3g} {parameter.unit}"
-        got = f"poses that give a {parameter} of leg {at // PER_LEG} {off} off the guess"
+        size = f"{abs(start.change[at]):.3g} {parameter.unit}"
+        got = f"poses that give a {parameter} of leg {at // PER_LEG} {size} off the guess"
         allowed = "readings of this robot; is it another one, or are two encoders swapped?"
         raise ConfigurationError(measurements.source, got, allowed)
     if start.model.near is not None:

@@ -209,7 +209,9 @@ def test_a_single_wrong_row_is_named_whether_it_is_a_little_off_or_absurd(refuse
 def test_cells_rows_and_columns_that_cannot_be(refused, good):
     table = good.table.copy()
     assert "column of pose_yaw: expected " in refused([*COLUMNS[:2], "yaw_turns", *COLUMNS[3:]], table)
-    assert "at least 12 poses for 66 unknown numbers, better some 60, got '11 rows'" in refused(COLUMNS, table[:11], "geometry")
+    assert "at least 12 poses for 66 unknown numbers, better some 60, got '11 rows'" in refused(
+        COLUMNS, table[:11], "geometry"
+    )
     table[8, :6] = table[3, :6]
     assert "the pose of row 4 again in row 9" in refused(COLUMNS, table)
     table[6, 4] = -1e300
