@@ -162,6 +162,7 @@ class Trial:
         width: (6, 12) [m, rad, -] half widths.
         noise_ratio: [-] see `Calibration`.
         fit: What was fitted.
+        off: (6, 12) [m, rad, -] errors of the parameters.
     """
 
     before: tuple[float, float]
@@ -170,6 +171,7 @@ class Trial:
     width: np.ndarray
     noise_ratio: float
     fit: str
+    off: np.ndarray
 
 
 def run_trial(
@@ -218,6 +220,7 @@ def run_trial(
         width,
         found.noise_ratio,
         found.fit,
+        off,
     )
 
 

@@ -294,7 +294,8 @@ def _ways(
     robot: RobotParameters, known: Collection[str], hold: Collection[str], fit: str | None, measured: np.ndarray
 ) -> dict[str, np.ndarray]:
     """What can be fitted, the richest first: free directions by the name of a fit; with what is held two may be one."""
-    names = (fit,) if fit else tuple(FITS)
+    # Angles alone say nothing of the robot's size, and little of its shape.
+    names = (fit,) if fit else tuple(FITS) if measured.all() else ("offsets", "servos")
     held = {frozenset(set(KINDS) - set(FITS[name]) | set(hold)): name for name in reversed(names)}
     some = {kinds: name for kinds, name in held.items() if len(kinds) < len(KINDS)} or held
     ways = {name: geometry.free_directions(robot, known, kinds, measured) for kinds, name in some.items()}
@@ -310,7 +311,7 @@ def _choices(
     for name in names:
         begin = closures(name) if fits else start
         unknown = begin.directions.shape[1]
-        if fits and begin.misfit > _HOPELESS * max(1.0, start.misfit):
+        if begin.misfit > _HOPELESS * max(1.0, start.misfit):
             choices.append(Choice(name, unknown, np.inf, np.inf, "do not fit"))
             continue
         estimate, ratio, _ = fit_tracker(begin, white)

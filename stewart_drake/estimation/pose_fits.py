@@ -156,7 +156,11 @@ def fit_tracker(start: ClosureFit, white: np.ndarray) -> tuple[Estimate, float, 
     freedom = max(1, result.fun.size - result.x.size)
     ratio = math.sqrt(2.0 * result.cost / freedom)
     # Scaled by what the residuals say of the noise, so that noise which is larger than stated widens the intervals.
-    root = ratio * np.linalg.inv(np.linalg.qr(result.jac, mode="r"))
+    try:
+        root = ratio * np.linalg.inv(np.linalg.qr(result.jac, mode="r"))
+    except np.linalg.LinAlgError:
+        got, allowed = f"poses that do not determine {result.x.size} numbers", "more poses, or fewer numbers to fit"
+        raise ConfigurationError(start.measurements.source, got, allowed) from None
     estimate = Estimate(
         PARAMETERS,
         geometry.scales(model.guess),
