@@ -207,7 +207,7 @@ def calibrate(
         _write_result(result, str(file), out, report_folder, "calibration.png", plot_calibration, tables)
         if fit is None:
             header, rows = result.choice_table()
-            print_table("what to fit: the least corrected Akaike information criterion (AICc) is chosen", rows, header)
+            print_table("what to fit: the least Akaike information criterion (AIC) is chosen", rows, header)
         header, rows = result.table()
         print_table("change from the guess, 95 % interval", rows, header)
 

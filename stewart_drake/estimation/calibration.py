@@ -1,6 +1,6 @@
 """A robot's geometry and servos from measured poses, or why poses do not fit.
 
-What is fitted is chosen by the corrected Akaike information criterion: what predicts poses best.
+What is fitted is chosen by the Akaike information criterion: what predicts poses best.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Choice(NamedTuple):
     fit: str  # Of `geometry.FITS`.
     parameters: int
     noise_ratio: float  # [-] errors over the stated noise.
-    criterion: float  # Corrected Akaike information criterion; infinite where the poses are too few or it does not fit.
+    criterion: float  # Akaike information criterion; infinite where the poses are too few or it does not fit.
     problem: str = ""
 
 
@@ -219,7 +219,7 @@ class Calibration(Result):
             ]
             for choice in self.choices
         ]
-        return ["fit", "numbers", "remaining errors over noise", "AICc above the least"], rows
+        return ["fit", "numbers", "remaining errors over noise", "AIC above the least"], rows
 
     def robot_file(self) -> str:
         error = dict(self.summary())["pose error after (RMS)"]
@@ -254,7 +254,7 @@ def calibrate(
             platform's joints do.
         hold: Parameters that keep their value, of `geometry.KINDS`.
         fit: What to estimate, of `geometry.FITS`: homing offsets alone; with servo gains; geometry with offsets; or
-            all. None for the best by the corrected Akaike information criterion.
+            all. None for the best by the Akaike information criterion.
 
     Returns:
         The calibrated robot, with intervals and residuals.
@@ -319,8 +319,7 @@ def _choices(
         # The richest fit shows whether the noise is larger than stated.
         largest = largest if len(fits) > 1 else max(largest, ratio)
         errors = max(1, count - unknown) * (ratio / largest) ** 2
-        criterion = errors + 2.0 * unknown * count / max(1, count - unknown - 1)
-        choices.append(Choice(name, unknown, ratio, criterion))
+        choices.append(Choice(name, unknown, ratio, errors + 2.0 * unknown))
     return choices, fits
 
 
