@@ -225,9 +225,10 @@ def run_trial(
 
 
 def coverage(trials: Collection[Trial]) -> dict[str, float]:
-    """Share [-] of the intervals that hold the truth: of each parameter, and under `all`."""
-    inside = np.mean([trial.inside.mean(axis=0) for trial in trials], axis=0)
-    names = map(str, LEG_PARAMETERS)
+    """Share [-] of the intervals that hold the truth: of each parameter that is fitted, and under `all`."""
+    fitted = np.all([trial.width > 0.0 for trial in trials], axis=(0, 1))
+    inside = np.mean([trial.inside.mean(axis=0) for trial in trials], axis=0)[fitted]
+    names = [str(parameter) for parameter, counts in zip(LEG_PARAMETERS, fitted, strict=True) if counts]
     return {**dict(zip(names, inside.tolist(), strict=True)), "all": float(inside.mean())}
 
 

@@ -168,7 +168,8 @@ class Calibration(Result):
             geometry.LEG_PARAMETERS, geometry.by_leg(self.half_width, display=True).max(axis=0), strict=True
         ):
             key = f"{parameter.kind} {{:.2g}} {parameter.display[0]}"
-            widest[key] = max(width, widest.get(key, 0.0))
+            if parameter.kind in FITS[self.fit]:
+                widest[key] = max(width, widest.get(key, 0.0))
         ratio = f"{self.noise_ratio:.3g} times the stated noise"
         if self.noise_ratio > _NOISY:
             ratio += ": the noise is larger than stated, or legs have play or bend; the intervals are widened by it"
@@ -204,7 +205,11 @@ class Calibration(Result):
             return f"{change:+.3f} ± {width:.2g}" if np.isfinite(width) else "unidentifiable"
 
         changes, widths = (geometry.by_leg(numbers, display=True) for numbers in (self.change, self.half_width))
-        rows = [[name, *map(cell, changes[:, at], widths[:, at])] for at, name in enumerate(geometry.table_names())]
+        rows = [
+            [name, *map(cell, changes[:, at], widths[:, at])]
+            for at, name in enumerate(geometry.table_names())
+            if geometry.LEG_PARAMETERS[at].kind in FITS[self.fit]
+        ]
         return ["", *(f"leg {leg}" for leg in range(LEG_COUNT))], rows
 
     def choice_table(self) -> tuple[list[str], list[list[str]]]:
