@@ -116,7 +116,7 @@ class Measurements(Readings):
         again = np.flatnonzero(first[which.ravel()] != np.arange(len(self)))
         if again.size:
             got = f"the pose of row {first[which.ravel()[again[0]]] + 1} again in row {again[0] + 1}"
-            allowed = "measured poses; a tracker never gives the same numbers twice"
+            allowed = "measured poses; an instrument never gives the same numbers twice, but a level or a jig (--with)"
             raise ConfigurationError(self.source, got, allowed)
 
     @property

@@ -94,6 +94,16 @@ def test_gains_of_servos_ride_along():
     np.testing.assert_allclose(robot.command, ANGLES)
 
 
+def test_a_simulated_servo_turns_by_its_own_gain_whatever_the_model_believes():
+    gains = np.array([1.05, 0.95, 1.04, 0.96, 1.0, 1.02])
+    legs = [{**leg, "servo_gain": gain} for leg, gain in zip(ROBOT.each_leg(), gains.tolist(), strict=True)]
+    robot = SimulatedRobot(PLAIN.replace({"robot.legs": legs, "model.robot.legs": ROBOT.each_leg()}))
+    np.testing.assert_allclose(robot.reading(), ANGLES / gains, atol=2e-3)
+    robot.follow(ANGLES / gains)
+    robot.advance(False)
+    np.testing.assert_allclose(robot._loop.runner.signal("turned_command"), ANGLES)
+
+
 def test_a_simulated_machine_has_the_same_zero():
     robot = SimulatedRobot(SCENARIO)
     np.testing.assert_allclose(robot.reading(), ANGLES - HOME, atol=2e-3)
