@@ -100,7 +100,8 @@ def test_a_simulated_servo_turns_by_its_own_gain_whatever_the_model_believes():
     robot = SimulatedRobot(PLAIN.replace({"robot.legs": legs, "model.robot.legs": ROBOT.each_leg()}))
     np.testing.assert_allclose(robot.reading(), ANGLES / gains, atol=2e-3)
     robot.follow(ANGLES / gains)
-    robot.advance(False)
+    for _ in range(100):  # The delay of the commands.
+        robot.advance(False)
     np.testing.assert_allclose(robot._loop.runner.signal("turned_command"), ANGLES)
 
 
