@@ -15,13 +15,14 @@ from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_error, print_line, print_table, progress_bar, working
 from stewart_drake.estimation import geometry, servos, torques
-from stewart_drake.estimation.poses import INSTRUMENTS, MeasurementNoise
+from stewart_drake.estimation.poses import INSTRUMENTS, Instrument, MeasurementNoise
 from stewart_drake.hardware.servos import POSITION_PRESETS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.geometry import Cranks, Unit
 from stewart_drake.robot.geometry import from_table as read_table
 from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
 from stewart_drake.runs.outputs import check_ending, prepare_file, prepared_file, write_text
+from stewart_drake.scenario.limits import ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
@@ -174,7 +175,7 @@ def calibrate(
     --set changes, and what --with can tell.
     """
     from stewart_drake.estimation.calibration import calibrate as calibrated
-    from stewart_drake.estimation.poses import load_measurements, plan_poses
+    from stewart_drake.estimation.poses import load_measurements
     from stewart_drake.plotting.model_plots import plot_calibration
 
     if (file is None) == (plan is None):
@@ -190,13 +191,7 @@ def calibrate(
         hold = tuple({*hold, *geometry.KINDS} - {*geometry.FITS[fit or used.fit]} | {*hold})
         limits = load_scenario("paper_fig7", [f"robot={json.dumps(robot)}", *overrides]).limits
         out = out or Path("runs/poses.csv")
-        with working("choosing poses"):
-            planned = plan_poses(guess, plan, limits, noise, known_frames, hold, instrument=used)
-        write_text(out, planned.targets.only(used.measured).to_csv())
-        header, rows = planned.table()
-        print_table(f"expected 95 % intervals with {plan} poses, largest of the legs, +-", rows, header)
-        for line in planned.unidentifiable:
-            print_line(f"not identifiable by these poses: {line}")
+        _write_plan(guess, plan, limits, noise, known_frames, hold, used, out)
         again = f"{out} --robot {robot}" + (f" --with {instrument}" if instrument else "")
         print_line(f"poses in {out}; once they are measured: stewart-drake calibrate {again}")
     elif poses is not None:
@@ -210,6 +205,28 @@ def calibrate(
             print_table("what to fit: the least Akaike information criterion (AIC) is chosen", rows, header)
         header, rows = result.table()
         print_table("change from the guess, 95 % interval", rows, header)
+
+
+def _write_plan(
+    guess: RobotParameters,
+    count: int,
+    limits: ReferenceLimits,
+    noise: MeasurementNoise,
+    known_frames: tuple[str, ...],
+    hold: tuple[str, ...],
+    instrument: Instrument,
+    out: Path,
+) -> None:
+    """Writes the poses to measure, and prints what they will tell."""
+    from stewart_drake.estimation.poses import plan_poses
+
+    with working("choosing poses"):
+        planned = plan_poses(guess, count, limits, noise, known_frames, hold, instrument=instrument)
+    write_text(out, planned.targets.only(instrument.measured).to_csv())
+    header, rows = planned.table()
+    print_table(f"expected 95 % intervals with {count} poses, largest of the legs, +-", rows, header)
+    for line in planned.unidentifiable:
+        print_line(f"not identifiable by these poses: {line}")
 
 
 def _write_result(

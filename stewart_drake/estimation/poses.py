@@ -234,7 +234,7 @@ def plan_poses(
         limits: Limits on the poses and on the straight way from home, with `MARGIN`.
         noise: Of instrument and encoders; None for that of the instrument.
         known_frames: As for `calibrate`.
-        hold: As for `calibrate`.
+        hold: As for `calibrate`; by default the servo gains.
         seed: Of the candidates.
         candidates: How many poses to choose from.
         instrument: What measures them.
