@@ -17,12 +17,14 @@ from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.terminal import print_error, print_line, print_table, progress_bar, working
 from stewart_drake.estimation import geometry, servos, torques
+from stewart_drake.estimation.poses import INSTRUMENTS, Instrument, MeasurementNoise
 from stewart_drake.hardware.servos import POSITION_PRESETS
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg_table import Cranks, FromTable, Home, Unit
 from stewart_drake.robot.leg_table import from_table as read_table
 from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
 from stewart_drake.runs.outputs import check_ending, prepare_file, prepared_file, write_text
+from stewart_drake.scenario.limits import ReferenceLimits
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
@@ -192,6 +194,15 @@ def write_mjcf(scenario: Scenario) -> str:
         multiple=True,
     ),
     hold={"type": click.Choice(geometry.KINDS)},
+    instrument=opt.option(
+        "What measures the poses [default: by the columns of POSES; with --plan tracker].",
+        click.Choice(tuple(INSTRUMENTS)),
+        "--with",
+    ),
+    fit=opt.option(
+        "Estimate homing offsets, with servo gains (servos), or geometry, with offsets [default: chosen by the data].",
+        click.Choice(tuple(geometry.FITS)),
+    ),
     example="limits.clearance=0.01",
 )
 def calibrate(
@@ -200,8 +211,10 @@ def calibrate(
     out: Path | None,
     report_folder: Path | None,
     plan: int | None,
-    position_noise: float,
-    rotation_noise: float,
+    instrument: str | None,
+    fit: str | None,
+    position_noise: float | None,
+    rotation_noise: float | None,
     encoder_bits: int,
     known_frames: tuple[str, ...],
     hold: tuple[str, ...],
@@ -211,37 +224,65 @@ def calibrate(
 
     Columns: pose_roll_rad, pose_pitch_rad, pose_yaw_rad, pose_x_m, pose_y_m, pose_z_m (or _deg, _mm), the pose of the
     tracker's marker in the tracker's frame; crank_angle_0_rad to crank_angle_5_rad (or _deg), the encoder readings. The
-    positions of the tracker, and of its marker on the platform, need not be known.
+    positions of the tracker, and of its marker on the platform, need not be known. An IMU has no x, y, z; a level or an
+    accelerometer no yaw either. quaternion_w to _z, or acceleration_x to _z, may replace the angles.
 
     With --plan it writes the most informative poses to measure, in the same form, within the limits of the robot, which
-    --set changes.
+    --set changes, and what --with can tell.
     """
-    from stewart_drake.estimation.calibration import calibrate as fit
-    from stewart_drake.estimation.poses import MeasurementNoise, plan_poses
+    from stewart_drake.estimation.calibration import calibrate as calibrated
+    from stewart_drake.estimation.poses import load_measurements
     from stewart_drake.plotting.model_plots import plot_calibration
 
     if (file is None) == (plan is None):
         raise click.UsageError("give either POSES or --plan N")
-    encoder = 2.0 * math.pi / 2**encoder_bits / math.sqrt(12.0)
-    noise = MeasurementNoise(position=position_noise, rotation=rotation_noise, encoder=encoder)
+    poses = None if file is None else load_measurements(file)
+    used = INSTRUMENTS[instrument or ("tracker" if poses is None else poses.instrument)]
+    given = {"position": position_noise, "rotation": rotation_noise}
+    given["encoder"] = 2.0 * math.pi / 2**encoder_bits / math.sqrt(12.0)
+    noise = MeasurementNoise(**{**used.noise.to_dict(), **{key: of for key, of in given.items() if of is not None}})
+    known_frames = tuple({*known_frames, *used.known_frames})
     guess = load_robot(robot)
     if plan is not None:
+        hold = tuple({*hold, *geometry.KINDS} - {*geometry.FITS[fit or used.fit]} | {*hold})
         limits = load_scenario("paper_fig7", [f"robot={json.dumps(robot)}", *overrides]).limits
         out = out or Path("runs/poses.csv")
-        with working("choosing poses"):
-            planned = plan_poses(guess, plan, limits, noise, known_frames, hold)
-        write_text(out, planned.targets.to_csv())
-        header, rows = planned.table()
-        print_table(f"expected 95 % intervals with {plan} poses, largest of the legs, +-", rows, header)
-        print_line(f"poses in {out}; once they are measured: stewart-drake calibrate {out} --robot {robot}")
-    elif file is not None:
+        _write_plan(guess, plan, limits, noise, known_frames, hold, used, out)
+        again = f"{out} --robot {robot}" + (f" --with {instrument}" if instrument else "")
+        print_line(f"poses in {out}; once they are measured: stewart-drake calibrate {again}")
+    elif poses is not None:
         out = out or Path("runs/calibrated.yaml")
         with working("fitting"):
-            result = fit(guess, file, noise, known_frames, hold)
+            result = calibrated(guess, poses, noise, known_frames, hold, fit)
         tables = {"residuals.csv": result.residuals_csv}
         _write_result(result, str(file), out, report_folder, "calibration.png", plot_calibration, tables)
+        if fit is None:
+            header, rows = result.choice_table()
+            print_table("what to fit: the least Akaike information criterion (AIC) is chosen", rows, header)
         header, rows = result.table()
         print_table("change from the guess, 95 % interval", rows, header)
+
+
+def _write_plan(
+    guess: RobotParameters,
+    count: int,
+    limits: ReferenceLimits,
+    noise: MeasurementNoise,
+    known_frames: tuple[str, ...],
+    hold: tuple[str, ...],
+    instrument: Instrument,
+    out: Path,
+) -> None:
+    """Writes the poses to measure, and prints what they will tell."""
+    from stewart_drake.estimation.poses import plan_poses
+
+    with working("choosing poses"):
+        planned = plan_poses(guess, count, limits, noise, known_frames, hold, instrument=instrument)
+    write_text(out, planned.targets.only(instrument.measured).to_csv())
+    header, rows = planned.table()
+    print_table(f"expected 95 % intervals with {count} poses, largest of the legs, +-", rows, header)
+    for line in planned.unidentifiable:
+        print_line(f"not identifiable by these poses: {line}")
 
 
 def _write_result(

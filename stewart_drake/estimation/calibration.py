@@ -1,46 +1,44 @@
-"""A robot's geometry from measured poses: two least-squares problems, one after the other; or why poses do not fit.
+"""A robot's geometry and servos from measured poses, or why poses do not fit.
 
-First the errors of the rods' lengths, which exist for any guess; then the tracker's errors, weighted by their
-covariance: the maximum of the likelihood.
+What is fitted is chosen by the Akaike information criterion: what predicts poses best.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
-import scipy.optimize
-from scipy.spatial.transform import Rotation
-from scipy.special import stdtrit
 
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.base.tables import numbers_to_csv
+from stewart_drake.base.tables import AXES, numbers_to_csv
 from stewart_drake.estimation import core, geometry
-from stewart_drake.estimation.core import Estimate, Result, Unidentifiable
+from stewart_drake.estimation.core import Estimate, Result
 from stewart_drake.estimation.corrections import corrections
-from stewart_drake.estimation.geometry import OF_ROBOT, PARAMETERS, PER_LEG, SIZE, PoseModel
-from stewart_drake.estimation.poses import MeasurementNoise, Measurements, load_measurements
+from stewart_drake.estimation.geometry import FITS, KINDS, OF_ROBOT, PARAMETERS, PER_LEG, SIZE, PoseModel
+from stewart_drake.estimation.pose_fits import ClosureFit, fewest_poses, fit_closures, fit_tracker, whitening
+from stewart_drake.estimation.poses import INSTRUMENTS, MeasurementNoise, Measurements, load_measurements
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
-_CONFIDENCE = 0.95
-_SHARE = 1e-3  # [-] of an unidentifiable direction beyond which a parameter has no interval
 _NOISY = 2.0  # Ratio of errors to the stated noise above which this noise, or the model, is doubtful.
-_SEARCH = {"x_scale": 0.1, "xtol": 1e-12, "ftol": 1e-12, "gtol": None}
-"""Steps are at most a tenth of `scales`: from a crude guess, a larger step may flip a motor's axis."""
-_FIRST_CALLS = 10  # Evaluations of the errors in the first fit, at most: six suffice if the model fits at all.
-_CALLS = 200  # The same in the last fit.
-_LEAST_POSES = 4  # to locate the tracker's frames
 _SAME = 1e-9  # [rad, m] less than any tracker's last digit, more than a file's.
+_HOPELESS = 3.0  # [-] closures over those of the richest fit, from which a simpler one is not tried to the end.
 _MISFIT = _BETTER = 5.0
 """[-] closures over their noise from which a reason is looked for, and how many times smaller one must make them."""
-_FAR = 0.3  # [-] change of a parameter, in `scales`, that nobody's guess is off by.
-_Function = Callable[[np.ndarray], np.ndarray]
+
+
+class Choice(NamedTuple):
+    """One of the things that could be fitted, and how well."""
+
+    fit: str  # Of `geometry.FITS`.
+    parameters: int
+    noise_ratio: float  # [-] errors over the stated noise.
+    criterion: float  # Akaike information criterion; infinite where the poses are too few or it does not fit.
+    problem: str = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,13 +46,16 @@ class Calibration(Result):
     """A calibrated robot, and how well it is known.
 
     Attributes:
-        robot: The result. Its crank angles are the encoder readings: its crank directions include the homing offsets.
+        robot: The result. Its crank angles are its `servo_gains` times the encoder readings: its crank directions
+            include the homing offsets.
         model: The guess, with the tracker's frames fitted to it.
         measurements: The measured poses.
         known_frames: Frames of the tracker that were known.
         hold: Parameters that kept their value.
-        estimate: (78,) [m, rad] change of the guess's parameters and the tracker's frames, see `geometry`.
+        estimate: (84,) [m, rad, -] change of the guess's parameters and the tracker's frames, see `geometry`.
         noise_ratio: [-] errors over the stated noise; the intervals are scaled by it.
+        fit: What was fitted, of `geometry.FITS`.
+        choices: What could be fitted, with the criterion by which `fit` was chosen.
     """
 
     robot: RobotParameters
@@ -64,11 +65,13 @@ class Calibration(Result):
     hold: tuple[str, ...]
     estimate: Estimate
     noise_ratio: float
+    fit: str
+    choices: tuple[Choice, ...]
 
     columns: ClassVar = ("leg", "parameter", "axis", "unit", "guess", "value", "half_width")
     about: ClassVar = (
-        "Changes from the guess, with 95 % intervals. The homing offset is reading minus true angle. It is part of\n"
-        "the robot's crank directions, so that its crank angles are the readings."
+        "Changes from the guess, with 95 % intervals. The true angle is servo gain times reading, minus the homing\n"
+        "offset. The offset is part of the robot's crank directions, so that its crank angles are gains times readings."
     )
     picture: ClassVar = "Errors of the poses and changes of the parameters"
 
@@ -83,7 +86,7 @@ class Calibration(Result):
 
     @property
     def change(self) -> np.ndarray:
-        """(78,) [m, rad] of the guess's parameters and the tracker's frames."""
+        """(84,) [m, rad, -] of the guess's parameters and the tracker's frames."""
         return self.estimate.values
 
     @property
@@ -98,7 +101,10 @@ class Calibration(Result):
 
     @cached_property
     def before(self) -> np.ndarray:
-        """(n, 6) [rad, m] measured minus predicted poses of the marker; NaN where the guess cannot be assembled."""
+        """(n, 6) [rad, m] measured minus predicted poses of the marker.
+
+        NaN where a coordinate is not measured, or the guess cannot be assembled.
+        """
         return self._errors(np.zeros(SIZE))
 
     @cached_property
@@ -109,14 +115,15 @@ class Calibration(Result):
     def _errors(self, change: np.ndarray) -> np.ndarray:
         observed = self.measurements.marker
         at, error = self.model.predicted(change, self.measurements.angles, self.model.platform(change, observed))
-        return np.where((error <= geometry.CLOSED)[:, None], self.model.tracker_error(change, at, observed), np.nan)
+        errors = np.full((len(at), 6), np.nan)
+        errors[:, self.model.measured] = self.model.tracker_error(change, at, observed)
+        errors[error > geometry.CLOSED] = np.nan
+        return errors
 
     @property
     def half_width(self) -> np.ndarray:
-        """(78,) [m, rad] of the 95 % intervals; 0 for what was held or known, infinite if unidentifiable."""
-        size = self.estimate.scales
-        shares = [np.abs(each.direction) * size[each.at] / size for each in self.estimate.unidentifiable]
-        return np.where(np.max(shares, axis=0, initial=0.0) > _SHARE, np.inf, self.estimate.half_width)
+        """(84,) [m, rad, -] of the 95 % intervals; 0 for what was held or known, infinite if unidentifiable."""
+        return np.where(self.estimate.undetermined, np.inf, self.estimate.half_width)
 
     @property
     def identifiable(self) -> int:
@@ -130,7 +137,7 @@ class Calibration(Result):
 
     @property
     def homing_offsets(self) -> np.ndarray:
-        """(6,) [rad] readings minus the true angles of the guess's convention."""
+        """(6,) [rad] readings times servo gains, minus the true angles of the guess's convention."""
         return geometry.by_leg(self.change)[:, geometry.HOMING]
 
     def rows(self) -> list[tuple[object, ...]]:
@@ -139,27 +146,36 @@ class Calibration(Result):
         return [(at // PER_LEG, *PARAMETERS[at][:3], *row) for at, row in enumerate(numbers)]
 
     def error_sizes(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """RMS over the poses of position [m] and rotation [rad] error, before and after."""
+        """RMS over the poses of position [m] and rotation [rad] error, before and after; NaN if not measured."""
+        seen = self.model.measured
 
         def sizes(error: np.ndarray) -> tuple[float, float]:
-            square = np.nanmean(error**2, axis=0)
-            return float(np.sqrt(square[3:].sum())), float(np.sqrt(square[:3].sum()))
+            square = np.zeros(6)
+            square[seen] = np.nanmean(error[:, seen] ** 2, axis=0)
+            place, turn = np.sqrt([square[3:].sum(), square[:3].sum()])
+            return float(place) if seen[3:].any() else np.nan, float(turn) if seen[:3].any() else np.nan
 
         return sizes(self.before), sizes(self.after)
 
     def summary(self) -> list[tuple[str, str]]:
-        before, after = (f"{1e3 * place:.3g} mm, {1e3 * turn:.3g} mrad" for place, turn in self.error_sizes())
+        before, after = (
+            f"{1e3 * place:.3g} mm, {1e3 * turn:.3g} mrad".removeprefix("nan mm, ").removesuffix(", nan mrad")
+            for place, turn in self.error_sizes()
+        )
+        measured = self.model.measured
         widest: dict[str, float] = {}
         for parameter, width in zip(
             geometry.LEG_PARAMETERS, geometry.by_leg(self.half_width, display=True).max(axis=0), strict=True
         ):
             key = f"{parameter.kind} {{:.2g}} {parameter.display[0]}"
-            widest[key] = max(width, widest.get(key, 0.0))
+            if parameter.kind in FITS[self.fit]:
+                widest[key] = max(width, widest.get(key, 0.0))
         ratio = f"{self.noise_ratio:.3g} times the stated noise"
         if self.noise_ratio > _NOISY:
             ratio += ": the noise is larger than stated, or legs have play or bend; the intervals are widened by it"
         rows = [
             ("poses, parameters estimated", f"{len(self.measurements)}, {self.identifiable}"),
+            *([] if measured.all() else [("measured", ", ".join(np.array(AXES)[measured]))]),
             ("pose error before (RMS)", before),
             ("pose error after (RMS)", after),
             ("remaining errors", ratio),
@@ -169,7 +185,7 @@ class Calibration(Result):
             ("base", "shaft_position", "where B is", "the shafts"),
             ("platform", "platform_joint", "where P is", "the platform's joints"),
         ):
-            if frame not in self.known_frames and kind not in self.hold:
+            if measured.all() and frame not in self.known_frames and kind not in self.hold:
                 line = f"{where} (6 numbers); it is placed so that {points} are closest to the guess's"
                 rows.append(("not identifiable by any poses", line))
         rows += [("not identifiable by these poses", line) for line in self.unidentifiable]
@@ -177,7 +193,8 @@ class Calibration(Result):
 
     def _offsets_and_frames(self) -> Iterator[tuple[str, str]]:
         offsets = ", ".join(f"{1e3 * offset:.3f}" for offset in self.homing_offsets)
-        yield "homing offsets in the crank angles, which are the encoders' readings [mrad]", offsets
+        yield "homing offsets in the crank angles, which are servo gains times readings [mrad]", offsets
+        yield "servo gains [-]", ", ".join(f"{gain:.4f}" for gain in self.robot.servo_gains)
         for name, frame in (("B in the tracker's frame", self.base), ("marker in P", self.marker)):
             yield f"{name}, roll pitch yaw [rad] X Y Z [m]", " ".join(f"{x:.7g}" for x in geometry.pose_of(frame))
 
@@ -188,11 +205,30 @@ class Calibration(Result):
             return f"{change:+.3f} ± {width:.2g}" if np.isfinite(width) else "unidentifiable"
 
         changes, widths = (geometry.by_leg(numbers, display=True) for numbers in (self.change, self.half_width))
-        rows = [[name, *map(cell, changes[:, at], widths[:, at])] for at, name in enumerate(geometry.table_names())]
+        rows = [
+            [name, *map(cell, changes[:, at], widths[:, at])]
+            for at, name in enumerate(geometry.table_names())
+            if geometry.LEG_PARAMETERS[at].kind in FITS[self.fit]
+        ]
         return ["", *(f"leg {leg}" for leg in range(LEG_COUNT))], rows
 
+    def choice_table(self) -> tuple[list[str], list[list[str]]]:
+        """Header and rows: what could be fitted, and by what `fit` was chosen."""
+        least = min(choice.criterion for choice in self.choices)
+        rows = [
+            [
+                choice.fit + (" (chosen)" if choice.fit == self.fit else ""),
+                str(choice.parameters),
+                choice.problem or f"{choice.noise_ratio:.3g}",
+                "" if choice.problem else f"{choice.criterion - least:.1f}",
+            ]
+            for choice in self.choices
+        ]
+        return ["fit", "numbers", "remaining errors over noise", "AIC above the least"], rows
+
     def robot_file(self) -> str:
-        about = f"calibrated from {len(self.measurements)} measured poses: pose error {self.summary()[2][1]} (RMS)"
+        error = dict(self.summary())["pose error after (RMS)"]
+        about = f"calibrated from {len(self.measurements)} measured poses: pose error {error} (RMS)"
         return core.robot_yaml(about, [f"{name}: {text}" for name, text in self._offsets_and_frames()], self.robot)
 
     def residuals_csv(self) -> str:
@@ -209,181 +245,101 @@ def calibrate(
     noise: MeasurementNoise | None = None,
     known_frames: Collection[str] = (),
     hold: Collection[str] = (),
+    fit: str | None = None,
 ) -> Calibration:
-    """Estimates a robot's geometry and homing offsets from measured poses and encoder readings.
+    """Estimates a robot's geometry, homing offsets and servo gains from measured poses and encoder readings.
 
     Args:
         robot: The guess; its branches, masses and limits are kept.
         poses: Measured poses with readings, or a CSV file of them, see `load_measurements`.
-        noise: Of tracker and encoders; only the ratios of its numbers act on the estimate.
+        noise: Of instrument and encoders; only the ratios of its numbers act on the estimate. None for that of a
+            tracker, or where no positions are measured of an IMU.
         known_frames: `base` if the tracker measures in B, `platform` if it measures the pose of P itself. Other
             frames are estimated, and then B is where the shafts lie nearest to those of the guess, and P where the
             platform's joints do.
         hold: Parameters that keep their value, of `geometry.KINDS`.
+        fit: What to estimate, of `geometry.FITS`: homing offsets alone; with servo gains; geometry with offsets; or
+            all. None for the best by the Akaike information criterion.
 
     Returns:
-        The calibrated robot, whose crank angles are the encoders' readings, with intervals and residuals.
+        The calibrated robot, with intervals and residuals.
 
     Raises:
         ConfigurationError: Too few poses, or such as cannot be this robot's: wrong units, an inverted encoder, a
             single wrong row, another branch; the message names it where the residuals show it.
     """
-    free = geometry.free_directions(robot, known_frames, hold)
+    core.check_choices("hold", hold, KINDS)
+    core.check_choices("fit", () if fit is None else (fit,), tuple(FITS))
     measurements = poses if isinstance(poses, Measurements) else load_measurements(poses)
-    noise = MeasurementNoise() if noise is None else noise
-    believed, good = PoseModel(robot).assembled(measurements.angles)
-    if good.all() and np.abs(geometry.difference(believed, measurements.marker)).max() < _SAME:
+    noise = INSTRUMENTS[measurements.instrument].noise if noise is None else noise
+    if not set(geometry.FRAMES) <= set(known_frames):
+        measurements.refuse_repeated()
+    _refuse_plan(robot, measurements)
+    ways = _ways(robot, known_frames, hold, fit, measurements.measured)
+    enough = [name for name in ways if fewest_poses(ways[name], measurements) <= len(measurements)] or [*ways][-1:]
+    few = [Choice(name, ways[name].shape[1], np.inf, np.inf, "too few poses") for name in ways if name not in enough]
+
+    def closures(name: str, some: Measurements = measurements) -> ClosureFit:
+        return fit_closures(robot, known_frames, ways[name], noise, some)
+
+    # The richest shows best whether anything can fit.
+    start = _explained(partial(closures, enough[0]), robot, measurements)
+    choices, fits = _choices(enough, start, closures, noise)
+    # The simplest of equals.
+    best = min(reversed(choices), key=lambda choice: round(choice.criterion, 3)).fit
+    estimate, noise_ratio = fits[best]
+    known = tuple(frame for frame in geometry.FRAMES if frame in known_frames)
+    kept = tuple(kind for kind in KINDS if kind in hold or kind not in FITS[best])
+    calibrated = geometry.as_robot(robot, estimate.values)
+    fitted = estimate, noise_ratio, best, (*few, *choices)
+    return Calibration(calibrated, start.model, measurements, known, kept, *fitted)
+
+
+def _ways(
+    robot: RobotParameters, known: Collection[str], hold: Collection[str], fit: str | None, measured: np.ndarray
+) -> dict[str, np.ndarray]:
+    """What can be fitted, the richest first: free directions by the name of a fit; with what is held two may be one."""
+    # Angles alone say nothing of the robot's size, and little of its shape.
+    names = (fit,) if fit else tuple(FITS) if measured.all() else ("offsets", "servos")
+    held = {frozenset(set(KINDS) - set(FITS[name]) | set(hold)): name for name in reversed(names)}
+    some = {kinds: name for kinds, name in held.items() if len(kinds) < len(KINDS)} or held
+    ways = {name: geometry.free_directions(robot, known, kinds, measured) for kinds, name in some.items()}
+    return dict(sorted(ways.items(), key=lambda way: -way[1].shape[1]))
+
+
+def _choices(
+    names: Sequence[str], start: ClosureFit, closures: Callable[[str], ClosureFit], noise: MeasurementNoise
+) -> tuple[list[Choice], dict[str, tuple[Estimate, float]]]:
+    """The fits and their criteria; `start` is that of the first, which is the richest."""
+    choices, fits, white = list[Choice](), dict[str, tuple[Estimate, float]](), whitening(start, noise)
+    count, largest = white.shape[0] * white.shape[1], 1.0
+    for name in names:
+        begin = closures(name) if fits else start
+        unknown = begin.directions.shape[1]
+        if begin.misfit > _HOPELESS * max(1.0, start.misfit):
+            choices.append(Choice(name, unknown, np.inf, np.inf, "do not fit"))
+            continue
+        estimate, ratio, _ = fit_tracker(begin, white)
+        fits[name] = estimate, ratio
+        # The richest fit shows whether the noise is larger than stated.
+        largest = largest if len(fits) > 1 else max(largest, ratio)
+        errors = max(1, count - unknown) * (ratio / largest) ** 2
+        choices.append(Choice(name, unknown, ratio, errors + 2.0 * unknown))
+    return choices, fits
+
+
+def _refuse_plan(robot: RobotParameters, measurements: Measurements) -> None:
+    """Raises a `ConfigurationError` if the poses are exactly those of the guess."""
+    model = PoseModel(robot, measured=measurements.measured)
+    believed, good = model.assembled(measurements.angles)
+    if good.all() and np.abs(model.tracker_error(np.zeros(SIZE), believed, measurements.marker)).max() < _SAME:
         got = "the poses that the guess has at these crank angles"
         raise ConfigurationError(measurements.source, got, "measured poses; is this a plan, not measured yet?")
-    fit = partial(_fit_closures, robot, known_frames, free, noise)
-    start = _explained(fit, robot, measurements)
-    estimate, noise_ratio = _fit_tracker(start, noise)
-    known = tuple(frame for frame in geometry.FRAMES if frame in known_frames)
-    held = tuple(kind for kind in geometry.KINDS if kind in hold)
-    calibrated = geometry.as_robot(robot, estimate.values)
-    return Calibration(calibrated, start.model, measurements, known, held, estimate, noise_ratio)
-
-
-class _ClosureFit(NamedTuple):
-    """The smallest closures, at a step (k,) along identifiable `directions` (`SIZE`, k) [m, rad].
-
-    `misfit` [-] is their size over their noise, `relative` (`OF_ROBOT`,) [-] the size of each change in `scales`.
-    """
-
-    model: PoseModel
-    measurements: Measurements
-    directions: np.ndarray
-    unidentifiable: tuple[Unidentifiable, ...]
-    step: np.ndarray
-    change: np.ndarray
-    relative: np.ndarray
-    misfit: float
-
-    @property
-    def score(self) -> float:
-        return self.misfit if self.relative.max() <= _FAR else np.inf
-
-    def closures(self, angle: float = 0.0) -> np.ndarray:
-        """Errors (n, 6) [m] of the rods' lengths at readings that are larger by `angle` [rad]."""
-        at = self.model.platform(self.change, self.measurements.marker)
-        return self.model.closures(self.change, at, self.measurements.angles + angle)
-
-
-def _minimised(errors: _Function, slope: _Function, directions: np.ndarray, start: np.ndarray, calls: int) -> Any:
-    """The result of `scipy.optimize.least_squares` for the step along directions; errors and slope take the change."""
-    return scipy.optimize.least_squares(
-        lambda step: errors(directions @ step).ravel(),
-        start,
-        lambda step: (slope(directions @ step) @ directions).reshape(-1, len(step)),
-        max_nfev=calls,
-        **_SEARCH,
-    )
-
-
-def _fit_closures(
-    guess: RobotParameters,
-    known: Collection[str],
-    free: np.ndarray,
-    noise: MeasurementNoise,
-    measurements: Measurements,
-) -> _ClosureFit:
-    """The first of the two least-squares problems: the smallest errors of the rods' lengths."""
-    least = free.shape[1] // 6 + 1
-    if len(measurements) < least:
-        allowed = f"at least {least} poses for {free.shape[1]} unknown numbers, better some 60"
-        raise ConfigurationError(measurements.source, f"{len(measurements)} rows", allowed)
-    model, size, nothing = located(guess, measurements, known), geometry.scales(guess), np.zeros(SIZE)
-    observed, angles = measurements.marker, measurements.angles
-    at = model.platform(nothing, observed)
-    slope = model.whitening(nothing, at, angles, noise) @ model.tracker_slope(nothing, at, angles)
-    slope = (slope @ (size[:, None] * free)).reshape(-1, free.shape[1])
-    free, unidentifiable = core.identifiable(slope, free, size, geometry.LARGEST_DEVIATION)
-    directions, cranks = size[:, None] * free, float(guess.crank_lengths.max())
-    unit = math.hypot(noise.position, guess.characteristic_length * noise.rotation, cranks * noise.encoder)
-    result = _minimised(
-        lambda change: model.closures(change, model.platform(change, observed), angles) / unit,
-        lambda change: model.closure_slope(change, observed, angles) / unit,
-        directions,
-        np.zeros(directions.shape[1]),
-        _FIRST_CALLS,
-    )
-    misfit = math.sqrt(2.0 * result.cost / (result.fun.size - result.x.size))
-    change = directions @ result.x
-    relative = np.abs(change / size)[:OF_ROBOT]
-    return _ClosureFit(model, measurements, directions, unidentifiable, result.x, change, relative, misfit)
-
-
-def _fit_tracker(start: _ClosureFit, noise: MeasurementNoise) -> tuple[Estimate, float]:
-    """The second of the two least-squares problems: the smallest errors of the tracker; their size over the noise."""
-    model, measurements, directions = start.model, start.measurements, start.directions
-    observed, angles = measurements.marker, measurements.angles
-
-    def predicted(change: np.ndarray) -> np.ndarray:
-        at, error = model.predicted(change, angles, model.platform(change, observed))
-        if (error > geometry.CLOSED).any():
-            key = f"{measurements.source}: row {int(error.argmax()) + 1}, crank_angle"
-            got = f"readings at which no calibrated legs close: a rod is off by {error.max():.3g} m"
-            raise ConfigurationError(key, got, "a pose that is not singular, and a guess close to the robot")
-        return at
-
-    white = model.whitening(start.change, predicted(start.change), angles, noise)
-    result = _minimised(
-        lambda change: np.einsum("nij,nj->ni", white, model.tracker_error(change, predicted(change), observed)),
-        lambda change: white @ model.tracker_slope(change, predicted(change), angles, observed),
-        directions,
-        start.step,
-        _CALLS,
-    )
-    freedom = result.fun.size - result.x.size
-    ratio = math.sqrt(2.0 * result.cost / freedom)
-    # Scaled by what the residuals say of the noise, so that noise which is larger than stated widens the intervals.
-    root = ratio * np.linalg.inv(np.linalg.qr(result.jac, mode="r"))
-    estimate = Estimate(
-        PARAMETERS,
-        geometry.scales(model.guess),
-        directions @ result.x,
-        directions,
-        root @ root.T,
-        result.jac.T @ result.jac,
-        start.unidentifiable,
-        float(stdtrit(freedom, 0.5 + 0.5 * _CONFIDENCE)),
-    )
-    return estimate, ratio
-
-
-def located(guess: RobotParameters, measurements: Measurements, known: Collection[str]) -> PoseModel:
-    """The guess with the frames at which its own poses at the readings come nearest to the measured ones."""
-    believed, good = PoseModel(guess).assembled(measurements.angles)
-    observed = measurements.marker[good]
-    if len(observed) < _LEAST_POSES:
-        got = f"readings, of which only {len(observed)} of {len(measurements)} are possible for this robot"
-        allowed = "readings in rad (or _deg), in the order of the legs, near the crank angles of the guess"
-        raise ConfigurationError(f"{measurements.source}: crank_angle", got, allowed)
-    free = [at for at in range(OF_ROBOT, SIZE) if PARAMETERS[at].kind not in known]
-    if not free:
-        return PoseModel(guess)
-    base, marker, length = np.eye(4), np.eye(4), guess.characteristic_length
-    size = np.array([length] * 3 + [1.0] * 3)
-    if "base" not in known:
-        # Turns from pose to pose are turned by the base alone; shifts nearly so, and they show it if no pose is turned.
-        there, here = (np.concatenate(np.hsplit(size * geometry.steps(frames), 2)) for frames in (observed, believed))
-        turn = Rotation.align_vectors(there, here)[0].as_matrix()
-        base = geometry.transform(turn, (observed[:, :3, 3] - believed[:, :3, 3] @ turn.T).mean(axis=0))
-    if "platform" not in known:
-        turns = np.swapaxes(believed[:, :3, :3], -1, -2) @ base[:3, :3].T @ observed[:, :3, :3]
-        marker = geometry.transform(Rotation.from_matrix(turns).mean().as_matrix(), np.zeros(3))
-    model = PoseModel(guess, base, marker)
-
-    def error(frames: np.ndarray) -> np.ndarray:
-        return (size * model.tracker_error(directions @ frames, believed, observed)).ravel()
-
-    directions = np.eye(SIZE)[:, free]
-    return model.with_frames(directions @ scipy.optimize.least_squares(error, np.zeros(len(free)), x_scale="jac").x)
 
 
 def _explained(
-    fit: Callable[[Measurements], _ClosureFit], guess: RobotParameters, measurements: Measurements
-) -> _ClosureFit:
+    fit: Callable[[Measurements], ClosureFit], guess: RobotParameters, measurements: Measurements
+) -> ClosureFit:
     """The fit of measurements; refuses them if others, that are right if something is wrong, fit much better."""
     start, reason, best = None, None, np.inf
     try:
@@ -391,7 +347,7 @@ def _explained(
         best = max(start.misfit / _BETTER, _MISFIT if start.score == np.inf else 0.0)
     except ConfigurationError as error:
         reason = error
-    off = None if start is None else np.abs(start.closures()).max(axis=-1)
+    off = None if start is None else start.off()
     for table, *message in corrections(guess, measurements, off) if start is None or start.score > _MISFIT else ():
         try:
             score = fit(Measurements.of_table(table, measurements.source)).score
@@ -407,10 +363,12 @@ def _explained(
     if start.score == np.inf:
         at = int(start.relative.argmax())
         parameter = PARAMETERS[at]._replace(owner="")
-        off = f"{abs(start.change[at]):.3g} {parameter.unit}"
-        got = f"poses that give a {parameter} of leg {at // PER_LEG} {off} off the guess"
+        size = f"{abs(start.change[at]):.3g} {parameter.unit}"
+        got = f"poses that give a {parameter} of leg {at // PER_LEG} {size} off the guess"
         allowed = "readings of this robot; is it another one, or are two encoders swapped?"
         raise ConfigurationError(measurements.source, got, allowed)
+    if start.model.near is not None:
+        return start
     by_angle = geometry.derivative(lambda step: start.closures(step[0]), np.eye(1))[..., 0]
     # With a leg's own angle its closure grows on the branch +1: the rod then pulls against the crank's motion.
     wrong = (np.sign(by_angle) == -guess.branches).all(axis=0)

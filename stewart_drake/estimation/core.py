@@ -22,6 +22,7 @@ from stewart_drake.robot import RobotParameters
 NORMAL_95 = 1.959964
 _ROUNDING = 1e-9  # [-] of the largest singular value below which a direction is rounding.
 _SHARE = 0.02  # [-] of its scale by which a parameter must change to be named in an unidentifiable direction.
+_UNCERTAIN = 1e-3  # [-] of an unidentifiable direction beyond which a parameter has no interval.
 _NAMED = 6  # Parameters in a sentence at most.
 
 
@@ -39,6 +40,8 @@ class Parameter(NamedTuple):
     @property
     def display(self) -> tuple[str, float]:
         """Unit in texts, and factor to it from SI."""
+        if self.unit == "1":
+            return "%", 1e2
         return (f"m{self.unit}", 1e3) if self.unit in ("m", "rad") else (self.unit, 1.0)
 
 
@@ -136,6 +139,12 @@ class Estimate:
         variance = np.einsum("ij,jk,ik->i", self.directions, self.covariance, self.directions)
         return self.quantile * np.sqrt(np.maximum(variance, 0.0))
 
+    @property
+    def undetermined(self) -> np.ndarray:
+        """(n,) bool, parameters that the data do not determine, alone or in a combination."""
+        shares = [np.abs(each.direction) * self.scales[each.at] / self.scales for each in self.unidentifiable]
+        return np.asarray(np.max(shares, axis=0, initial=0.0) > _UNCERTAIN)
+
     def identifiable_part(self, change: np.ndarray) -> np.ndarray:
         """The change with the same effect on the data as a change (n,), without unidentifiable parameters."""
         for parameter in self.unidentifiable:
@@ -230,6 +239,11 @@ class Readings:
     """Bytes and rows of a file."""
     source: str
 
+    @property
+    def absent(self) -> np.ndarray:
+        """(k,) bool, columns of the table that may be missing, and are."""
+        return np.zeros(len(self.quantities), dtype=bool)
+
     def check(self) -> None:
         """Copies the arrays and makes them read-only; refuses wrong shapes and numbers that are not finite."""
         count = np.shape(getattr(self, next(iter(self.columns))))[:1]
@@ -241,7 +255,7 @@ class Readings:
                 shape = ", ".join(map(str, ("n", *width)))
                 raise ConfigurationError(f"{self.source}: {name}", values.shape, f"numbers of shape ({shape})")
             values.flags.writeable = False
-        self.refuse(~np.isfinite(self.table), "a finite number")
+        self.refuse(~np.isfinite(self.table) & ~self.absent, "a finite number")
 
     def refuse(self, wrong: np.ndarray, allowed: str) -> None:
         """Raises a `ConfigurationError` for the first cell of the table that is `wrong`."""
@@ -267,4 +281,6 @@ class Readings:
         return np.column_stack([getattr(self, name) for name in self.columns])
 
     def to_csv(self) -> str:
-        return numbers_to_csv(self.quantities, self.table)
+        """The columns that are not absent."""
+        there = np.flatnonzero(~self.absent)
+        return numbers_to_csv([self.quantities[at] for at in there], self.table[:, there])

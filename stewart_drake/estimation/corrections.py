@@ -40,7 +40,7 @@ def corrections(
         scaled[:, columns] *= factor
         got = f"numbers that fit if they are multiplied by {factor:.4g}"
         yield scaled, f"{source}: {key}", got, f"the unit in the column's name; perhaps {units}?"
-    strays = _stray_rows(guess, measurements)
+    strays = _stray_rows(guess, measurements) if measurements.measured.all() else []
     suspects = [strays] if 0 < len(strays) <= _MOST_STRAYS * len(measurements) else []
     if off is not None:
         suspects += [[row] for row in np.argsort(-off)[:_SUSPECTS].tolist()]

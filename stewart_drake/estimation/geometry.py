@@ -1,6 +1,7 @@
-"""What tracker and encoders measure on a robot, and its derivatives by everything that a calibration can change.
+"""What an instrument and encoders measure on a robot, and its derivatives by everything that a calibration can change.
 
-If a frame of the tracker is unknown, B is where the shafts lie nearest to the guess's, and P where the joints do.
+If a frame of the tracker is unknown, B is where the shafts lie nearest to the guess's, and P where the joints do. An
+instrument may measure some coordinates of a pose only: an IMU the three angles, a spirit level roll and pitch.
 """
 
 from __future__ import annotations
@@ -33,12 +34,13 @@ LEG_PARAMETERS = (
     Parameter("motor_axis", "about zero", "rad"),
     Parameter("motor_axis", "about quarter", "rad"),
     Parameter("homing_offset", "", "rad"),
+    Parameter("servo_gain", "", "1"),
 )
 """Parameters of one leg. Positions are in B and P. `motor_axis` has two small rotations of the guessed axis, about the
-crank's two directions. The homing offset is reading minus true angle; the true angle is counted from the guess's
-`crank_zero_direction`, rotated with the axis."""
+crank's two directions. The true angle is servo gain times reading, minus the homing offset; it is counted from the
+guess's `crank_zero_direction`, rotated with the axis."""
 KINDS = tuple(dict.fromkeys(parameter.kind for parameter in LEG_PARAMETERS))
-SHAFT, JOINT, CRANK, ROD, HOMING = slice(0, 3), slice(3, 6), 6, 7, 10
+SHAFT, JOINT, CRANK, ROD, HOMING, GAIN = slice(0, 3), slice(3, 6), 6, 7, 10, 11
 PARAMETERS = (
     *(parameter._replace(owner=f"leg {leg}") for leg in range(LEG_COUNT) for parameter in LEG_PARAMETERS),
     *(
@@ -50,9 +52,21 @@ PARAMETERS = (
 )
 """Parameters of legs 0 to 5, then rotation and translation of the tracker's frame, then of the marker's frame."""
 SIZE, PER_LEG, OF_ROBOT = len(PARAMETERS), len(LEG_PARAMETERS), len(LEG_PARAMETERS) * LEG_COUNT
+FITS = {
+    "offsets": ("homing_offset",),
+    "servos": ("homing_offset", "servo_gain"),
+    "geometry": tuple(kind for kind in KINDS if kind != "servo_gain"),
+    "all": KINDS,
+}
+"""What can be fitted: kinds of parameters by a name."""
+GEOMETRY = np.array([parameter.kind != "servo_gain" for parameter in PARAMETERS[:OF_ROBOT]])
+PREFERENCE = np.array([10.0 if parameter.kind == "servo_gain" else 1.0 for parameter in PARAMETERS])
+"""Where data do not determine all, gains keep their values first."""
 LARGEST_DEVIATION = 0.1  # [-] in `scales`, beyond which a direction counts as unidentifiable
 CLOSED = 1e-12  # [m] rod-length error below which forward kinematics has converged
 _NEWTON_STEPS = 40
+ALL = np.ones(6, dtype=bool)
+"""All coordinates of a pose."""
 _STEP = 1e-5  # [m, rad] of finite differences
 _FRAME_STEPS = np.eye(SIZE)[OF_ROBOT:]
 _LEG_STEPS = np.hstack([np.tile(np.eye(PER_LEG), LEG_COUNT), np.zeros((PER_LEG, 12))])
@@ -74,6 +88,12 @@ def table_names() -> list[str]:
 def exponential(turn: np.ndarray) -> np.ndarray:
     """Rotation matrices (..., 3, 3) of rotation vectors (3,) or (n, 3) [rad]."""
     return np.asarray(Rotation.from_rotvec(turn).as_matrix())
+
+
+def heading_of(turn: np.ndarray) -> np.ndarray:
+    """The rotations about z that are nearest to rotations (..., 3, 3)."""
+    about_z = np.arctan2(turn[..., 1, 0] - turn[..., 0, 1], turn[..., 0, 0] + turn[..., 1, 1])
+    return exponential(np.array([0.0, 0.0, 1.0]) * about_z[..., None])
 
 
 def transform(rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
@@ -114,7 +134,7 @@ def derivative(function: Callable[[np.ndarray], np.ndarray], directions: np.ndar
 
 
 def changed_record(guess: RobotParameters, change: np.ndarray) -> Robot:
-    """Record of the guess after a change (`SIZE`,) [m, rad]; its crank angles are the encoders' readings."""
+    """Record of the guess after a change (`SIZE`,) [m, rad]; its crank angles are readings times servo gains."""
     legs = by_leg(change)
     zero, quarter = guess.crank_zero_directions, guess.crank_quarter_directions
     rotation = exponential(legs[:, 8:9] * zero + legs[:, 9:10] * quarter)
@@ -131,7 +151,7 @@ def changed_record(guess: RobotParameters, change: np.ndarray) -> Robot:
 
 def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
     (record,) = changed_record(guess, change)
-    ranges = guess.crank_angle_ranges + change[HOMING:OF_ROBOT:PER_LEG, None]
+    ranges, gains = guess.crank_angle_ranges + change[HOMING:OF_ROBOT:PER_LEG, None], gains_of(guess, change)
     legs: list[Document] = [
         {
             "shaft_position": record["shaft"][leg],
@@ -142,6 +162,7 @@ def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
             "crank_quarter_direction": record["crank_y"][leg],
             "branch": int(guess.branches[leg]),
             "crank_angle_range": ranges[leg] if np.isfinite(ranges[leg]).all() else None,
+            "servo_gain": None if gains[leg] == 1.0 else gains[leg],
         }
         for leg in range(LEG_COUNT)
     ]
@@ -151,18 +172,26 @@ def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
 def values_of(guess: RobotParameters) -> np.ndarray:
     """Parameters (`OF_ROBOT`,) [m, rad] of a guess, whose turns and offsets count as zero."""
     lengths = guess.crank_lengths[:, None], guess.rod_lengths[:, None]
-    return np.hstack([guess.shaft_positions, guess.platform_joints, *lengths, np.zeros((LEG_COUNT, 3))]).ravel()
+    servos = np.zeros((LEG_COUNT, 3)), guess.servo_gains[:, None]
+    return np.hstack([guess.shaft_positions, guess.platform_joints, *lengths, *servos]).ravel()
+
+
+def gains_of(guess: RobotParameters, change: np.ndarray) -> np.ndarray:
+    """Servo gains (6,) [-] of the guess after a change (`SIZE`,)."""
+    return guess.servo_gains + change[GAIN:OF_ROBOT:PER_LEG]
 
 
 def scales(guess: RobotParameters) -> np.ndarray:
-    """Change (`SIZE`,) [m, rad] of each parameter that counts as 1: a radian, or the robot's characteristic length."""
+    """Change (`SIZE`,) [m, rad, -] that counts as 1 of each parameter: a radian, or the characteristic length."""
     return np.array([guess.characteristic_length if each.unit == "m" else 1.0 for each in PARAMETERS])
 
 
-def free_directions(guess: RobotParameters, known: Collection[str], hold: Collection[str]) -> np.ndarray:
-    """Orthonormal directions (`SIZE`, k), in `scales`, in which the parameters may change."""
+def free_directions(
+    guess: RobotParameters, known: Collection[str], hold: Collection[str], measured: np.ndarray = ALL
+) -> np.ndarray:
+    """Orthonormal directions (`SIZE`, k), in `scales`, along which measured coordinates (6,) let parameters change."""
     core.check_choices("known_frames", known, FRAMES)
-    constraints = []
+    constraints = [np.eye(SIZE)[at] for at in without_effect(measured)]
     for frame, kind, columns, points in (
         ("base", "shaft_position", SHAFT, guess.shaft_positions),
         ("platform", "platform_joint", JOINT, guess.platform_joints),
@@ -175,17 +204,33 @@ def free_directions(guess: RobotParameters, known: Collection[str], hold: Collec
     return core.free_directions(PARAMETERS, KINDS, hold, known, constraints)
 
 
+def without_effect(measured: np.ndarray) -> list[int]:
+    """Places of numbers of the frames on which measured coordinates (6,) do not depend.
+
+    What measures angles but not all coordinates is an IMU or a level: it finds the vertical by itself, and B is level.
+    """
+    turns, shifts = bool(measured[:2].any()), bool(measured[3:].any())
+    vertical = turns and not measured.all()
+    heading = not measured[2] and not measured[3:5].any()
+    base = [vertical, vertical, heading, *~measured[3:]]
+    marker = [not turns] * 3 + [not shifts] * 3
+    return [OF_ROBOT + at for at, fixed in enumerate([*base, *marker]) if fixed]
+
+
 @dataclass(frozen=True, eq=False)
 class PoseModel:
     """A guess, `base` (4, 4): B in the tracker's frame, and `marker` (4, 4): the marker in P; changes count from them.
 
-    `at` (n, 4, 4) are poses of P in B, `observed` those of the marker in the tracker's frame, `angles` (n, 6) [rad] the
-    readings.
+    `measured` (6,) has the coordinates that are measured; if not all are, `near` (n, 4, 4) has poses near the true
+    ones. `at` (n, 4, 4) are poses of P in B, `observed` those of the marker in the tracker's frame, `angles` (n, 6)
+    [rad] the readings.
     """
 
     guess: RobotParameters
     base: np.ndarray = field(default_factory=lambda: np.eye(4))
     marker: np.ndarray = field(default_factory=lambda: np.eye(4))
+    measured: np.ndarray = field(default_factory=lambda: ALL)
+    near: np.ndarray | None = None
 
     def frames(self, change: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return moved(self.base, change[OF_ROBOT : OF_ROBOT + 6]), moved(self.marker, change[OF_ROBOT + 6 :])
@@ -195,12 +240,16 @@ class PoseModel:
         return replace(self, base=base, marker=marker)
 
     def platform(self, change: np.ndarray, observed: np.ndarray) -> np.ndarray:
+        """Poses of P by the measured ones, or poses near them."""
+        if self.near is not None:
+            return self.near
         base, marker = self.frames(change)
         return np.linalg.inv(base) @ observed @ np.linalg.inv(marker)
 
     def predicted(self, change: np.ndarray, angles: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Poses of P in B by forward kinematics, from poses near them, and the rod-length errors (n,) [m] left."""
-        pose, error, _ = newton(changed_record(self.guess, change), angles, pose_of(start), CLOSED, _NEWTON_STEPS)
+        cranks = gains_of(self.guess, change) * angles
+        pose, error, _ = newton(changed_record(self.guess, change), cranks, pose_of(start), CLOSED, _NEWTON_STEPS)
         return transform_of(np.nan_to_num(pose, posinf=0.0, neginf=0.0)), np.nan_to_num(error, nan=np.inf)
 
     def assembled(self, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -211,12 +260,18 @@ class PoseModel:
 
     def closures(self, change: np.ndarray, at: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Errors (n, 6) [m] of the rods' lengths."""
-        return rod_length_errors(changed_record(self.guess, change), angles, pose_of(at))
+        cranks = gains_of(self.guess, change) * angles
+        return rod_length_errors(changed_record(self.guess, change), cranks, pose_of(at))
 
     def tracker_error(self, change: np.ndarray, at: np.ndarray, observed: np.ndarray) -> np.ndarray:
-        """Measured minus predicted poses of the marker (n, 6) [rad, m]."""
+        """Measured minus predicted poses of the marker, in the k measured coordinates (n, k) [rad, m]."""
         base, marker = self.frames(change)
-        return difference(observed, base @ at @ marker)
+        there = base @ at @ marker
+        if self.measured[:2].any() and not self.measured[2]:
+            # The heading is not measured, so it is that of the prediction.
+            turn = there[..., :3, :3] @ np.swapaxes(observed[..., :3, :3], -1, -2)
+            observed = transform(heading_of(turn) @ observed[..., :3, :3], observed[..., :3, 3])
+        return difference(observed, there)[..., self.measured]
 
     def closure_slope(self, change: np.ndarray, observed: np.ndarray, angles: np.ndarray) -> np.ndarray:
         """Derivatives (n, 6, `SIZE`) of the closures at measured poses."""
@@ -251,5 +306,5 @@ class PoseModel:
     def whitening(self, change: np.ndarray, at: np.ndarray, angles: np.ndarray, noise: MeasurementNoise) -> np.ndarray:
         """Weights (n, 6, 6) of the tracker's error by its covariance, the encoders' share included."""
         by_reading = self.tracker_slope(change, at, angles)[..., HOMING:OF_ROBOT:PER_LEG]
-        tracker = np.diag([noise.rotation**2] * 3 + [noise.position**2] * 3)
+        tracker = np.diag(np.array([noise.rotation**2] * 3 + [noise.position**2] * 3)[self.measured])
         return core.whitening(tracker + noise.encoder**2 * by_reading @ np.swapaxes(by_reading, -1, -2))

@@ -75,6 +75,7 @@ def controller_files(options: ControlOptions, name: str, prefix: str = "") -> di
         words["MEANING"] = "the newest target, a pose [rad, m], which is kept within the limits; NaN for none"
     words |= {"TAKES": str({"rad": 0, "N m": 1, "A": 2}[side.unit]), "ROWS": str(ticks)}
     words |= {"NEEDS": "READING | MEASURED" if side.context.feedback else "READING"}
+    words |= _machine_words(options, reads_angles)
     words |= {"MEANS": "angles of the cranks [rad]" if reads_angles else "pose [rad, m] and its rate"}
     words |= {"LIMIT": loop.program.table("command_limit", limit).base, "COMMAND": loop.signals[command].pointer}
     words |= {"PARTS": ", ".join(f'"{part.name}"' for part in parts), "LOOP": loop.text().rstrip()}
@@ -83,6 +84,19 @@ def controller_files(options: ControlOptions, name: str, prefix: str = "") -> di
     wanted |= {name: name for name in ("main.c", "Makefile", *(["board.c"] if reads_angles else []))}
     files = {file: from_template(template, words) for template, file in wanted.items()}
     return {**files, "replay.csv": _replay(options, side)}
+
+
+def _machine_words(options: ControlOptions, reads_angles: bool) -> dict[str, str]:
+    """Words of board.c: how angles of the machine become those of the model, and commands those of the machine."""
+    model = options.controller_model
+    if not reads_angles or not (any(model.home) or (model.robot.servo_gains != 1.0).any()):
+        return {"MACHINE": "", "ANGLE": "(double)value", "ANGLES": ""}
+    rows = (", ".join(number(value).text for value in values) for values in (model.robot.servo_gains, model.home))
+    tables = "\nstatic const double gain[6] = {{{}}}; /* of each servo: angle of its crank over what it reads */"
+    tables += "\nstatic const double home[6] = {{{}}}; /* [rad] of the cranks where the machine reads zero */"
+    back = "\n    for (int k = 0; k < 6; k++) {\n        command[k] = (command[k] - home[k]) / gain[k];\n    }"
+    angle = "gain[k] * (double)value + home[k]"
+    return {"MACHINE": tables.format(*rows), "ANGLE": angle, "ANGLES": back if model.motors.holds else ""}
 
 
 def write_files(folder: Path, files: Mapping[str, bytes]) -> list[Path]:

@@ -29,10 +29,7 @@ def wiring_of(options: ControlOptions, board: str) -> Wiring:
     if model.motors.command_quantity != "angle":
         allowed = "position: a board sends angles to servos, as of motors={kind: position, preset: mg996r}"
         raise ConfigurationError("motors.kind", model.motors.kind, allowed)
-    if any(model.home):
-        allowed = "zeros: a board's trim is model.servos.offset, and its angles are those of the robot's file"
-        raise ConfigurationError("model.home", list(model.home), allowed)
-    wiring = (model.servos or ServoOptions()).wiring(model.robot, model.motors)
+    wiring = (model.servos or ServoOptions()).wiring(model.robot, model.motors, model.home)
     if wiring.kind is not None and wiring.kind not in BOARDS[board].split():
         boards = [name for name, kinds in BOARDS.items() if wiring.kind in kinds]
         raise ConfigurationError("--board", board, f"{' or '.join(boards)}, for servos that take {MEANS[wiring.kind]}")
@@ -57,13 +54,24 @@ def export_sketch(options: ControlOptions, name: str, folder: Path, board: str) 
     wiring, main, bus = wiring_of(options, board), folder.resolve().name, board in ("sts", "dynamixel")
     if board != "computer" and not re.fullmatch(r"\w[\w.-]{0,62}", main, re.ASCII):
         raise ConfigurationError("--sketch", main, "a folder's name of letters, digits and _, as Arduino asks for")
-    rest, kind = (options.controller_model.servos or ServoOptions()).rest_after or 0.0, BOARDS[board].split()[0]
+    model = options.controller_model
+    rest, kind = (model.servos or ServoOptions()).rest_after or 0.0, BOARDS[board].split()[0]
     words = {"SCENARIO": name, "VERSION": __version__, "BOARD": board, "MEANS": MEANS[wiring.kind or kind]}
     words |= {"POSES": str(int(angles_only(options) is None)), "PROTOCOL": str(1 + (board == "dynamixel"))}
     words |= {"PERIOD": str(round(1e6 * options.reading_period)), "REST": str(round(1e6 * rest))}
     words |= {"FASTEST": number(wiring.speed).text, "MIDDLE": number(wiring.middle).text}
-    rows = [wiring.zero, wiring.per_rad, wiring.home, *wiring.angles, *wiring.within.astype(int)]
-    for word, row in zip(("ZERO", "PER_RAD", "HOME", "LOW", "HIGH", "LEAST", "MOST"), rows, strict=True):
+    rows = [
+        model.robot.servo_gains,
+        model.home,
+        wiring.zero,
+        wiring.per_rad,
+        wiring.home,
+        *wiring.angles,
+        *wiring.within.astype(int),
+    ]
+    for word, row in zip(
+        ("GAIN", "ZERO_AT", "ZERO", "PER_RAD", "HOME", "LOW", "HIGH", "LEAST", "MOST"), rows, strict=True
+    ):
         words[word] = ", ".join(number(value).text for value in row)
     parts = ("hexapod.c", "hexapod.h", "servos.h", *(("bus.h", "bus.c") if bus else ()))
     templates = {part: f"sketch_{part}" for part in parts} | {f"robot_side.{end}": f"robot_side.{end}" for end in "hc"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
@@ -47,19 +48,26 @@ class ServoOptions(Section, key="model.servos"):
     rest_after: NotNegative | None = 5.0
     """[s] without a packet, after which a board that holds moves the cranks slowly home; null to hold for ever."""
 
-    def wiring(self, robot: RobotParameters, motors: MotorOptions) -> Wiring:
-        """The numbers for a robot with such motors; ConfigurationError where one is missing or does not fit."""
+    def wiring(self, robot: RobotParameters, motors: MotorOptions, zero_at: Sequence[float]) -> Wiring:
+        """The numbers for a robot with such motors, and with cranks at `zero_at` (6,) [rad] where a servo reads zero.
+
+        ConfigurationError where a number is missing or does not fit.
+        """
         known: Wire | None = getattr(motors.gear, "wiring", None)
         commands, travel = self.commands or (known and known.commands), self.travel or (known and known.travel)
         if commands is None or travel is None:
             allowed = "commands [us] and travel [rad], or model.motors with a preset that has them, such as mg996r"
             raise ConfigurationError("model.servos", None, allowed)
-        home, (least, most), gain = inverse_kinematics(robot, robot.home_pose), commands, np.array(self.gain)
+        (least, most), gain = commands, np.array(self.gain)
+        home, ranges = (
+            (angles - zero_at) / robot.servo_gains
+            for angles in (inverse_kinematics(robot, robot.home_pose), robot.crank_angle_ranges.T)
+        )
         zero, middle, half = home + self.offset, 0.5 * (least + most), 0.5 * travel * gain
         reach = np.stack([zero - half, zero + half])
-        angles = np.clip(robot.crank_angle_ranges.T, *reach)
+        angles = np.clip(ranges, *reach)
         for leg, (low, high) in enumerate(reach.T):
-            stops = robot.crank_angle_ranges[leg]
+            stops = ranges[:, leg]
             if np.isfinite(stops).all() and np.abs(stops - angles[:, leg]).max() > BEYOND:
                 allowed = f"within {low:.4g} to {high:.4g} rad, what commands {least:g} to {most:g} reach"
                 raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", stops.tolist(), allowed)
@@ -82,7 +90,10 @@ class ServoOptions(Section, key="model.servos"):
 
 
 class Wiring(NamedTuple):
-    """`ServoOptions` as numbers of each servo, for a robot and its motors."""
+    """`ServoOptions` as numbers of each servo, for a robot and its motors; angles are those of packets.
+
+    A crank's angle is `servo_gain` of its leg times the angle of a packet, plus `model.home`.
+    """
 
     kind: str | None  # Of the servos: `rc`, `sts`, `dynamixel`; None where it is not known.
     middle: float  # Command in the middle of the travel.

@@ -128,14 +128,18 @@ def open_machine(url: str, scenario: Scenario, trust_code: bool = False) -> Mach
         machine = imported("machines.user_machine:UserMachine")(scenario, url, trust_code)
     else:
         raise ConfigurationError("machine", url, _URLS)
-    return Homed(machine, scenario.controller_model.home) if any(scenario.controller_model.home) else machine
+    home, gains = scenario.controller_model.home, scenario.controller_model.robot.servo_gains
+    return Homed(machine, home, gains) if any(home) or (gains != 1.0).any() else machine
 
 
 class Homed:
-    """A machine with its zero at crank angles `home` (6,) [rad]; readings and commands are in the model's angles."""
+    """A machine with its zero at crank angles `home` (6,) [rad] and servos that turn cranks by `gains` (6,) [-].
 
-    def __init__(self, machine: Machine, home: Sequence[float]) -> None:
-        self._machine, self._home = machine, np.array(home)
+    Readings and commands are in the model's angles.
+    """
+
+    def __init__(self, machine: Machine, home: Sequence[float], gains: np.ndarray | float = 1.0) -> None:
+        self._machine, self._home, self._gains = machine, np.array(home), gains
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._machine, name)
@@ -144,12 +148,12 @@ class Homed:
         """The next or the latest reading."""
         reading = self._machine.read()
         if reading.arrived is not None and self._machine.takes == "angle":
-            reading = reading._replace(arrived=reading.arrived + self._home)
-        return reading._replace(angles=reading.angles + self._home)
+            reading = reading._replace(arrived=self._gains * reading.arrived + self._home)
+        return reading._replace(angles=self._gains * reading.angles + self._home)
 
     def command(self, values: np.ndarray) -> None:
         """Sends six commands (6,)."""
-        self._machine.command(values - self._home if self._machine.takes == "angle" else values)
+        self._machine.command((values - self._home) / self._gains if self._machine.takes == "angle" else values)
 
 
 def _address(url: str, default_port: int | None) -> tuple[str, int]:
@@ -173,12 +177,12 @@ def check_takes(scenario: Scenario, takes: str, who: str) -> None:
 
 
 def command_limits(scenario: Scenario) -> np.ndarray:
-    """(2, 6) lowest and highest commands in the motors' unit; angles count from the machine's zero, see `Homed`."""
+    """(2, 6) lowest and highest commands in the motors' unit; angles are those of the machine, see `Homed`."""
     belief = scenario.controller_model
     limits = belief.motors.command_limits(belief.robot)
     if belief.servos is not None and belief.motors.holds:
-        limits = belief.servos.wiring(belief.robot, belief.motors).angles
-    return limits - belief.motors.holds * np.array(belief.home)
+        return belief.servos.wiring(belief.robot, belief.motors, belief.home).angles
+    return (limits - np.array(belief.home)) / belief.robot.servo_gains if belief.motors.holds else limits
 
 
 def within_limits(values: np.ndarray, limits: np.ndarray, name: str) -> np.ndarray:

@@ -94,7 +94,7 @@ class SimulatedMachine(UdpMachine):
 
 
 class SimulatedRobot:
-    """Plant, motors and sensors of a scenario, at rest at home; angles count from the machine's zero.
+    """Plant, motors and sensors of a scenario, at rest at home; angles are those of the machine, see `Homed`.
 
     Attributes:
         command: (6,) of the motors, from the next step of the plant on.
@@ -109,6 +109,7 @@ class SimulatedRobot:
         reads_angles = scenario.sensors.reading == "angles"
         self._angles = loop.runner.signal("reading") if reads_angles else loop.measured[ANGLES]
         self._home, self._takes_angles = np.array(scenario.controller_model.home), scenario.motors.holds
+        self._gains = scenario.controller_model.robot.servo_gains
         loop.begin()
         loop.run_parts()
 
@@ -119,11 +120,11 @@ class SimulatedRobot:
 
     def reading(self) -> np.ndarray:
         """(6,) [rad] reading of the sensors."""
-        return self._angles - self._home
+        return np.asarray((self._angles - self._home) / self._gains)
 
     def follow(self, values: np.ndarray) -> None:
         """Sets the commands (6,)."""
-        self.command[:] = values + self._home if self._takes_angles else values
+        self.command[:] = self._gains * values + self._home if self._takes_angles else values
 
     def advance(self, braked: bool) -> None:
         """One step of the plant; closed brakes keep the robot at rest."""

@@ -26,26 +26,31 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
     rows = np.arange(len(calibration.measurements)) + 1
     kinds = ((slice(3, 6), "Error of the position", "mm"), (slice(0, 3), "Error of the rotation", "mrad"))
     for panel, (part, title, unit) in zip(axes[:, 0], kinds, strict=True):
+        measured = calibration.model.measured[part]
+        panel.set(title=title if measured.any() else f"{title}: not measured")
+        panel.set(xlabel="row of the measurements [-]", ylabel=f"error [{unit}]")
         for error, label, color in (
             (calibration.before, "before", look.ORANGE),
             (calibration.after, "after", look.BLUE),
         ):
-            panel.plot(rows, 1e3 * np.linalg.norm(error[:, part], axis=-1), ".", color=color, label=label)
-        look.logarithmic(panel, "y")
-        panel.set(title=title, xlabel="row of the measurements [-]", ylabel=f"error [{unit}]")
-        panel.legend()
+            if measured.any():
+                sizes = 1e3 * np.linalg.norm(error[:, part][:, measured], axis=-1)
+                panel.plot(rows, sizes, ".", color=color, label=label)
+                look.logarithmic(panel, "y")
+                panel.legend()
     change, width = 1e3 * np.stack([calibration.change, calibration.half_width])[:, :OF_ROBOT].reshape(
         2, LEG_COUNT, PER_LEG
     )
     # Unidentifiable and held parameters have no interval.
     width = np.where(np.isfinite(width), width, np.nan)
     for panel, unit, kind in ((axes[0, 1], "m", "lengths"), (axes[1, 1], "rad", "angles")):
-        columns = [at for at, parameter in enumerate(LEG_PARAMETERS) if parameter.unit == unit]
+        # A gain is an angle per angle.
+        columns = [at for at, of in enumerate(LEG_PARAMETERS) if unit == of.unit.replace("1", "rad")]
         for leg, color in enumerate(look.COLORS):
             at = np.arange(len(columns)) + 0.12 * (leg - 2.5)
             values = change[leg, columns], width[leg, columns]
             panel.errorbar(at, *values, fmt=".", color=color, label=f"leg {leg}", elinewidth=1.0)
-        names = [str(LEG_PARAMETERS[at]).replace("_", " ") for at in columns]
+        names = [str(LEG_PARAMETERS[at]).replace("_", " ").replace("gain", "gain (per rad)") for at in columns]
         panel.set_xticks(range(len(columns)), names, rotation=30, ha="right")
         panel.set(title=f"Change of {kind}, with 95 % intervals", ylabel=f"change [m{unit}]")
     look.legend_below(figure, axes[0, 1].get_legend_handles_labels()[0], columns=6)

@@ -34,6 +34,9 @@ Coordinate = Annotated[Real, Field(ge=-MOST, le=MOST)]
 """[m]"""
 Position = tuple[Coordinate, Coordinate, Coordinate]
 Signed = Annotated[Real, Field(ge=-LARGEST_SIZE, le=LARGEST_SIZE)]
+Gain = Annotated[
+    Real, Field(ge=0.5, le=2.0), with_message("a number from 0.5 to 2; 1 for a servo that turns as commanded")
+]
 HalfAngle = Annotated[Real, Field(ge=SMALLEST_SIZE, lt=math.pi / 3.0)]
 """[rad] of a pair of shafts or joints; pairs must not cross."""
 Moderate = Annotated[NotNegative, Field(le=LARGEST_SIZE)]
@@ -67,6 +70,9 @@ class LegParameters(Section, key="robot.legs"):
     """Sign of the acos in the inverse kinematics: -1 or +1."""
     crank_angle_range: tuple[Signed, Signed] | None = None
     """[rad] lowest and highest theta, within one turn; the plant has stops there. null for none."""
+    servo_gain: Gain | None = None
+    """[-] angle by which the crank turns over the angle that its motor is commanded and reads; null for 1. `calibrate`
+    estimates it; commands and readings of a machine are corrected by that of `model.robot`."""
 
     def rules(self) -> None:
         """Angles rise, directions are unit vectors."""

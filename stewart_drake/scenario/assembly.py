@@ -129,6 +129,15 @@ def sensor_parts(scenario: Scenario) -> list[Part]:
     """Parts that compute the signal `reading`; none if it is the pose of the plant."""
     period, step = scenario.reading_period, scenario.plant.time_step
     parts = [part._replace(period=period) for part in scenario.sensors.parts(period)]
+    gain = servo_gain_error(scenario)
+    if scenario.sensors.reading == "angles" and (gain != 1.0).any():
+        parts = [
+            part.named(reading="servo_reading")
+            if "reading" in part.outputs and part.signal("reading") == "reading"
+            else part
+            for part in parts
+        ]
+        parts.append(_scaled(1.0 / gain, "servo_reading", "reading")._replace(period=period))
     if (steps := round(scenario.sensors.delay / step)) == 0:
         return parts
     pose, rate = scenario.start()
@@ -147,6 +156,14 @@ def sensor_parts(scenario: Scenario) -> list[Part]:
     ports = [{port: str(part.source(port)) for port in part.inputs} for part in parts]
     moved = [{port: late[source] for port, source in inputs.items() if source in late} for inputs in ports]
     return [*delays, *(part.connected(**inputs) for part, inputs in zip(parts, moved, strict=True))]
+
+
+def servo_gain_error(scenario: Scenario) -> np.ndarray:
+    """(6,) [-] angles of the cranks over those that the controller's side commands and reads.
+
+    Commands and readings on that side are corrected by the model's gains; the servos have the simulated robot's.
+    """
+    return np.asarray(scenario.robot.servo_gains / scenario.controller_model.robot.servo_gains)
 
 
 def command_path(
@@ -175,6 +192,10 @@ def command_path(
         finite = _FINITE._replace(constants={"what": scenario.motors.command_quantity}, period=step)
         parts.append(finite.connected(command=command))
         command = "checked"
+    gain = servo_gain_error(scenario)
+    if scenario.motors.holds and (gain != 1.0).any():
+        parts.append(_scaled(gain, command, "turned_command")._replace(period=step))
+        command = "turned_command"
     motors = scenario.motors.part(scenario.robot, step)
     return [*parts, motors.connected(command=command).named(torque="motor_torque")]
 
@@ -414,6 +435,25 @@ class _NetTorque(Record):
 
 class _Checked(Record):
     checked: Vec6
+
+
+class _Scaled(Record):
+    scaled: Vec6  # [rad]
+
+
+@njit
+def _scale(gain: Vec6, angle: Vec6, state: _Scaled) -> None:
+    scaled = record(state).scaled
+    for i in range(6):
+        scaled[i] = gain[i] * angle[i]
+
+
+def _scaled(gain: np.ndarray, angle: str, scaled: str) -> Part:
+    """The signal `scaled` (6,) [rad]: gains times the signal `angle`."""
+    part = Part(
+        f"servo_gain_of_{angle}", _scale, {}, {"angle": 6}, ("scaled",), _Scaled.new(), parameters={"gain": gain}
+    )
+    return part.connected(angle=angle).named(scaled=scaled)
 
 
 @njit

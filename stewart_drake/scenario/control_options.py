@@ -72,7 +72,7 @@ class ModelOptions(Section, key="model"):
     """The motors; null for the simulated ones without their faults."""
     home: Vector6 | None = None
     """[rad] angles of the cranks at which a real machine reads zero; null for zeros. `drive --dry` measures them with
-    the robot in its home pose."""
+    the robot in its home pose. A crank's angle is its `servo_gain` times what the machine reads, plus this."""
     servos: ServoOptions | None = None
     """Hobby servos on a board, which `export --sketch` writes: how an angle becomes a pulse; null for the preset's."""
 

@@ -187,7 +187,7 @@ BAD = [
     ("sweep initial_ofset", ["sweep file", "'initial_ofset'", "initial_offset"]),
     ("calibrate --robot paper --out x.yaml", ["either POSES or --plan N"]),
     ("calibrate poses.csv --robot paper --out x.yaml", ["poses.csv", "No such file"]),
-    ("calibrate --plan 5 --robot paper --out x.yaml", ["--plan", "a number of poses from 12"]),
+    ("calibrate --plan 5 --robot paper --out x.yaml", ["--plan", "a number of poses from 13"]),
     ("identify --robot paper --out x.yaml", ["LOGS"]),
     (
         "excite --robot paper --hold coulomb --hold viscous --set limits.torque_fraction=1e-4",

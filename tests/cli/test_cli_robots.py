@@ -114,7 +114,7 @@ def test_from_a_plan_to_a_calibrated_robot(call, tmp_path):
     names = {path.name for path in (tmp_path / "report").iterdir()}
     assert names == {"calibration.png", "parameters.csv", "report.md", "residuals.csv"}
     with (tmp_path / "report" / "parameters.csv").open() as stream:
-        assert len(list(csv.DictReader(stream))) == 66
+        assert len(list(csv.DictReader(stream))) == 72
 
 
 def test_from_a_log_to_an_identified_robot(call, tmp_path):

@@ -62,6 +62,18 @@ def test_a_controller_without_feedback_answers_a_robot_without_encoders(tmp_path
     assert np.abs(answer.values).max() > 0.0
 
 
+def test_it_takes_and_sends_angles_of_the_machine(tmp_path):
+    plain = load_controller("hobby_servos").replace({"adaptation": None})
+    gains, home = np.array([1.05, 0.95, 1.04, 0.96, 1.0, 1.02]), [0.3, -0.2, 0.1, 0.05, -0.4, 0.6]
+    legs = [{"servo_gain": gain} for gain in gains.tolist()]
+    sent = []
+    for name, options in (("plain", plain), ("own", plain.replace({"model.robot.legs": legs, "model.home": home}))):
+        (tmp_path / name).mkdir()
+        board = built(options, name, tmp_path / name)
+        sent.append(decode(answered(board, encode(Packet(flags_of("angle", READING), 1, 0, 0, np.zeros(6))))).values)
+    np.testing.assert_allclose(sent[1], (sent[0] - home) / gains, atol=1e-6)
+
+
 def test_frames_of_a_serial_line(board):
     data, frame, back = (
         encode(Packet(flags_of("torque"), 258, 257, 10**6, np.zeros(6))),

@@ -77,6 +77,34 @@ def test_a_servo_that_woke_up_a_turn_on_is_refused_with_the_home_that_takes_the_
     assert turned.told == []
 
 
+def test_gains_of_servos_ride_along():
+    gains = np.array([1.05, 0.95, 1.04, 0.96, 1.0, 1.02])
+    legs = [{**leg, "servo_gain": gain} for leg, gain in zip(ROBOT.each_leg(), gains.tolist(), strict=True)]
+    turning = SCENARIO.replace({"robot.legs": legs, "model.robot.legs": legs})
+    own = Own()
+    own.own = (ANGLES - HOME) / gains
+    machine = Homed(own, HOME, gains)
+    np.testing.assert_allclose(machine.read().angles, ANGLES)
+    machine.command(ANGLES)
+    np.testing.assert_allclose(own.told[-1], own.own)
+    np.testing.assert_allclose(command_limits(turning), command_limits(SCENARIO) / gains)
+    robot = SimulatedRobot(turning)
+    np.testing.assert_allclose(robot.reading(), own.own, atol=2e-3)
+    robot.follow(own.own)
+    np.testing.assert_allclose(robot.command, ANGLES)
+
+
+def test_a_simulated_servo_turns_by_its_own_gain_whatever_the_model_believes():
+    gains = np.array([1.05, 0.95, 1.04, 0.96, 1.0, 1.02])
+    legs = [{**leg, "servo_gain": gain} for leg, gain in zip(ROBOT.each_leg(), gains.tolist(), strict=True)]
+    robot = SimulatedRobot(PLAIN.replace({"robot.legs": legs, "model.robot.legs": ROBOT.each_leg()}))
+    np.testing.assert_allclose(robot.reading(), ANGLES / gains, atol=2e-3)
+    robot.follow(ANGLES / gains)
+    for _ in range(100):  # The delay of the commands.
+        robot.advance(False)
+    np.testing.assert_allclose(robot._loop.runner.signal("turned_command"), ANGLES)
+
+
 def test_a_simulated_machine_has_the_same_zero():
     robot = SimulatedRobot(SCENARIO)
     np.testing.assert_allclose(robot.reading(), ANGLES - HOME, atol=2e-3)

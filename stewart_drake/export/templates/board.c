@@ -12,7 +12,7 @@
 #include <string.h>
 
 enum { SIZE = 48, FRAME = SIZE + 2, READING = 1, ACTIVE = 2, MEASURED = 16, TAKES = @TAKES@ << 2 };
-enum { NEEDS = @NEEDS@ }; /* of a reading: measured angles, where the controller has feedback */
+enum { NEEDS = @NEEDS@ }; /* of a reading: measured angles, where the controller has feedback */@MACHINE@
 
 static struct @NAME@_controller controller;
 static long steps = -1;       /* done; before the first reading the controller begins anew */
@@ -90,7 +90,7 @@ int board_answer(const uint8_t *data, unsigned size, uint64_t now_us, uint8_t *o
         if (!(value > -12.57f && value < 12.57f)) {
             return 0;
         }
-        reading[k] = (double)value;
+        reading[k] = @ANGLE@;
     }
     if (steps < 0) {
         @NAME@_init(&controller);
@@ -98,7 +98,7 @@ int board_answer(const uint8_t *data, unsigned size, uint64_t now_us, uint8_t *o
     }
     last = get(data + 4);
     @NAME@_reference(steps++, reference);
-    const int status = @NAME@_step(&controller, reading, reference, 0.0, command);
+    const int status = @NAME@_step(&controller, reading, reference, 0.0, command);@ANGLES@
     write_packet(status == 0 ? ACTIVE | TAKES : TAKES, command, now_us, out);
     return 1;
 }

@@ -50,12 +50,15 @@ static void goal_from_pose(void)
     for (int k = 0; k < POSE_REFERENCE; k++) {
         reference[k] = k % 18 < 6 ? side.values[k % 18] : 0.0;
     }
-    memcpy(reading, angles, sizeof reading);
+    for (int k = 0; k < 6; k++) {
+        reading[k] = servos_gain[k] * angles[k] + servos_zero_at[k];
+    }
     if (pose_step(&controller, reading, reference, 0.0, command) != 0) {
         pose_init(&controller);
         return;
     }
     for (int k = 0; k < 6; k++) {
+        command[k] = (command[k] - servos_zero_at[k]) / servos_gain[k];
         if (!(command[k] >= servos_low[k] && command[k] <= servos_high[k])) {
             return;
         }

@@ -19,6 +19,9 @@
 #define SERVOS_FASTEST @FASTEST@ /* [rad/s] */
 #define SERVOS_MIDDLE @MIDDLE@
 
+/* A crank's angle is servos_gain times the angle of a packet, plus servos_zero_at. */
+static const double servos_gain[6] = {@GAIN@};
+static const double servos_zero_at[6] = {@ZERO_AT@}; /* [rad] */
 static const double servos_zero[6] = {@ZERO@}; /* [rad] */
 static const double servos_per_rad[6] = {@PER_RAD@};
 static const double servos_home[6] = {@HOME@}; /* [rad] */
