@@ -37,7 +37,7 @@ class PoseLimits(Record):
     assembly_sign: float  # Sign of the determinant of the rods' lines on this side of the singularities.
     home_rod: Mat12x3  # `Measures.rod` at home.
     thickness: float  # [m] of the links.
-    base: Vec9  # [m/s^2, rad/s, rad/s^2] what an inertial unit on the base reads.
+    base_reading: Vec9  # [m/s^2, rad/s, rad/s^2] what an inertial unit on the base reads.
 
 
 class Measures(PoseMeasures):

@@ -62,7 +62,7 @@ def least_margin(space: Space, pose: Vec6, rate: Vec6, acceleration: Vec6, probe
     """Fills the relative margins of a pose in motion; the least and its number, minus infinity out of reach."""
     limits, measures, out = space.limits, probe.measures, probe.margins[:]
     enough, place, least = limits.conditioning + _CLEAR, 0, np.inf
-    base, thickness = limits.base[:], limits.thickness
+    base, thickness = limits.base_reading[:], limits.thickness
     if not measure_motion(space.robot, base, thickness, pose, rate, acceleration, enough, probe.legs, measures):
         for i in range(6):
             out[i] = measures.reach_margin[i] - (1.0 - limits.reach)

@@ -175,7 +175,7 @@ def pose_limits(robot: RobotParameters, limits: ReferenceLimits, gravity: Gravit
     half, middle = _ranges(robot)
     arrays = {"torque": given.pop("torque") * robot.effort_shares, "crank_middle": middle, "crank_half": half}
     arrays |= {"home_rod": home["rod"], "assembly_sign": home["assembly_sign"]}
-    return PoseLimits.new(**given, **arrays, thickness=2.0 * robot.link_radius, base=base_reading(gravity))
+    return PoseLimits.new(**given, **arrays, thickness=2.0 * robot.link_radius, base_reading=base_reading(gravity))
 
 
 def space_of(
