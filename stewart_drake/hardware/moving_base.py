@@ -92,8 +92,8 @@ class BaseOptions(Section, key="base"):
                 raise ConfigurationError("base.motion.motion_file", f"one that begins at {first:g} s", allowed)
         if self.motion is not None and not user_parts(self.motion):
             largest = float(np.abs(self.motion.evaluate(np.linspace(0.0, duration, 201))[0][:, :2]).max())
-            if largest > math.tau:
-                allowed = "roll and pitch [rad] within a turn; in degrees?"
+            if largest > math.pi:
+                allowed = "roll and pitch [rad] within half a turn; in degrees?"
                 raise ConfigurationError("base.motion", f"{largest:.4g} rad", allowed)
 
 
