@@ -6,6 +6,7 @@ and the motion of B in M act on the robot through what an inertial unit on the b
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 import numpy as np
@@ -13,6 +14,7 @@ from pydantic import Field
 
 from stewart_drake.base.config import NotNegative, Section, Seed
 from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.families import user_parts
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Matrix, Record, Vec3, Vec12
 from stewart_drake.hardware.faults import tick_numbers
@@ -81,13 +83,18 @@ class BaseOptions(Section, key="base"):
         if self.motion is not None:
             raise ConfigurationError("base.motion", "a motion", f"null, for {what}")
 
-    def check(self) -> None:
-        """Refuses a recording that cannot be the motion of a base from the beginning on."""
+    def check(self, duration: float) -> None:
+        """Refuses a recording that begins late, and angles in a run of a duration [s] that are probably in degrees."""
         if isinstance(self.motion, RecordedReference):
             first = float(load_recording(self.motion.motion_file)[0, 0]) * self.motion.time_scale
             if abs(first) > _LATE:
                 allowed = "a recording whose first time is 0; subtract the first time from all of them"
                 raise ConfigurationError("base.motion.motion_file", f"one that begins at {first:g} s", allowed)
+        if self.motion is not None and not user_parts(self.motion):
+            largest = float(np.abs(self.motion.evaluate(np.linspace(0.0, duration, 201))[0][:, :2]).max())
+            if largest > math.pi:
+                allowed = "roll and pitch [rad] within half a turn; in degrees?"
+                raise ConfigurationError("base.motion", f"{largest:.4g} rad", allowed)
 
 
 def base_signal(motion: AnyReference, gravity: Gravity, times: np.ndarray) -> np.ndarray:

@@ -53,7 +53,7 @@ def refuse_unrunnable(scenario: Scenario) -> None:
 
 def check_scenario(scenario: Scenario) -> None:
     """Raises a ConfigurationError if the motion leaves the limits, or the robot cannot hold the start pose."""
-    scenario.base.check()
+    scenario.base.check(scenario.duration)
     setup = (scenario.robot, scenario.controller_model, scenario.limits, scenario.safety, scenario.gravity_in_base)
     motion = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
     files = {"reference": to_plain(scenario.reference), "base": to_plain(scenario.base)}

@@ -118,7 +118,6 @@ def _outside(scenario: Scenario) -> tuple[Source, ...]:
     if pushes:
         sources.append(Source("wrench", 6, lambda times: total_wrench(pushes, times)))
     if (motion := base.motion) is not None:
-        base.check()
         gravity, half = scenario.gravity_in_base, 0.5 * scenario.plant.time_step
         sources.append(Source("base", 9, lambda times: base_signal(motion, gravity, times + half)[:, :9]))
         sources.append(Source("base_motion", 12, lambda times: base_signal(motion, gravity, times)))

@@ -73,6 +73,12 @@ def test_a_wrong_recording_is_one_line_before_the_run(text, line, tmp_path):
         check_scenario(case)
 
 
+def test_a_motion_in_degrees_is_one_line_before_the_run():
+    case = Scenario.from_dict({"base": {"motion": {**SINE, "amplitude": [30, 0, 0, 0, 0, 0]}}})
+    with pytest.raises(ConfigurationError, match=r"base\.motion: expected roll and pitch \[rad\].*in degrees\?"):
+        check_scenario(case)
+
+
 def test_what_needs_a_base_at_rest_refuses_one_that_moves():
     moving = load_scenario("rolling_deck", ["plant.kind=closed_form"])
     for use, line in (
