@@ -12,10 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stewart_drake.base.errors import ConfigurationError, NotFiniteError
-from stewart_drake.base.jit import njit
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.keys import join_or
-from stewart_drake.base.records import Record, Vec6, record
 from stewart_drake.control.base import LEARNT_SIGNALS, TRACKING_ERROR, AdaptationOptions
 from stewart_drake.control.base_reading import informed, level_part
 from stewart_drake.control.feedforward import lead_part
@@ -30,6 +28,7 @@ from stewart_drake.safety import SafetyOptions, safety_part
 from stewart_drake.safety.stream import StreamReference
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
+from stewart_drake.scenario.small_parts import COMMAND, FINITE, net_torque_part, scaled
 
 _UNTURNED = "unturned_"
 """Before the name of a reference's signal, before it is turned against a moving base."""
@@ -136,7 +135,7 @@ def sensor_parts(scenario: Scenario) -> list[Part]:
             else part
             for part in parts
         ]
-        parts.append(_scaled(1.0 / gain, "servo_reading", "reading")._replace(period=period))
+        parts.append(scaled(1.0 / gain, "servo_reading", "reading")._replace(period=period))
     if (steps := round(scenario.sensors.delay / step)) == 0:
         return parts
     pose, rate = scenario.start()
@@ -188,12 +187,12 @@ def command_path(
         command = "safe_torque"
     elif scenario.controller.code is not None or scenario.link.faults:
         # Motors would cut an infinite torque to one that looks valid. The package's controllers never give one.
-        finite = _FINITE._replace(constants={"what": scenario.motors.command_quantity}, period=step)
+        finite = FINITE._replace(constants={"what": scenario.motors.command_quantity}, period=step)
         parts.append(finite.connected(command=command))
         command = "checked"
     gain = servo_gain_error(scenario)
     if scenario.motors.holds and (gain != 1.0).any():
-        parts.append(_scaled(gain, command, "turned_command")._replace(period=step))
+        parts.append(scaled(gain, command, "turned_command")._replace(period=step))
         command = "turned_command"
     motors = scenario.motors.part(scenario.robot, step)
     return [*parts, motors.connected(command=command).named(torque="motor_torque")]
@@ -316,9 +315,9 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
         added["disturbance_torque"] = "disturbance_torque"
     if corrected or friction is not None:
         law = law.named(torque="control_torque")
-        additions.append(_COMMAND.connected(**added))
+        additions.append(COMMAND.connected(**added))
     if observed:
-        end.append(_net_torque_part(robot.effort_limits, context.initial_torque).connected(**added))
+        end.append(net_torque_part(robot.effort_limits, context.initial_torque).connected(**added))
 
     # Command with which the motors give that torque.
     inverse = [part.connected(**law_inputs) for part in motors.inverse_parts(context)]
@@ -419,82 +418,3 @@ def _written(parts: Sequence[Part], options: AdaptationOptions, laws: Sequence[P
         allowed = f"one that writes parameters that are in this loop: {join_or(known)}"
         raise ConfigurationError("adaptation.kind", options.kind, allowed)
     return list(changed.values())
-
-
-# --- small parts ---
-
-
-class _Torque(Record):
-    torque: Vec6  # [N m]
-
-
-class _NetTorque(Record):
-    net_torque: Vec6  # [N m]
-
-
-class _Checked(Record):
-    checked: Vec6
-
-
-class _Scaled(Record):
-    scaled: Vec6  # [rad]
-
-
-@njit
-def _scale(gain: Vec6, angle: Vec6, state: _Scaled) -> None:
-    scaled = record(state).scaled
-    for i in range(6):
-        scaled[i] = gain[i] * angle[i]
-
-
-def _scaled(gain: np.ndarray, angle: str, scaled: str) -> Part:
-    """The signal `scaled` (6,) [rad]: gains times the signal `angle`."""
-    part = Part(
-        f"servo_gain_of_{angle}", _scale, {}, {"angle": 6}, ("scaled",), _Scaled.new(), parameters={"gain": gain}
-    )
-    return part.connected(angle=angle).named(scaled=scaled)
-
-
-@njit
-def _add_torques(control: Vec6, disturbance_torque: Vec6, friction: Vec6, state: _Torque) -> None:
-    torque = record(state).torque
-    for i in range(6):
-        torque[i] = control[i] + disturbance_torque[i] + friction[i]
-
-
-_COMMAND = Part(
-    "command",
-    _add_torques,
-    {},
-    {"control_torque": 6, "disturbance_torque": 6, "friction_torque": 6},
-    ("torque",),
-    _Torque.new(),
-)
-"""The commanded torque: of the controller, against an observed disturbance, and against friction."""
-
-
-@njit
-def _store_net_torque(limit: Vec6, torque: Vec6, friction: Vec6, state: _NetTorque) -> None:
-    net_torque = record(state).net_torque
-    for i in range(6):
-        net_torque[i] = min(max(torque[i], -limit[i]), limit[i]) - friction[i]
-
-
-def _net_torque_part(limit: np.ndarray, initial: np.ndarray) -> Part:
-    """The command of a tick less its part against friction, for the observer at the next tick.
-
-    The motors cut it at their limit, or the safety layer does, which has to see it.
-    """
-    first, inputs = _NetTorque.new(net_torque=initial), {"torque": 6, "friction_torque": 6}
-    part = Part("net_torque", _store_net_torque, {}, inputs, ("net_torque",), first, end_of_tick=True)
-    return part._replace(parameters={"limit": limit})
-
-
-def _finite_tick(what: str, command: Vec6, state: _Checked) -> None:
-    if not np.isfinite(command).all():
-        raise NotFiniteError(what, command.copy())
-    state["checked"][0] = command
-
-
-_FINITE = Part("finite", _finite_tick, {"what": "torque"}, {"command": 6}, ("checked",), _Checked.new())
-"""Ends a run with commands, `what` of the motors, that are not finite, where there is no safety layer."""
