@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,7 +23,7 @@ def informed(parts: Iterable[Part]) -> tuple[list[Part], list[Part]]:
     """The parts, with the measured motion of the base in their `params`; and those that write it there, to go first."""
     writers, result = [], []
     for part in parts:
-        params: Any = part.parameters.get("params")
+        params = part.parameters.get("params")
         if params is None or "base" not in (params.dtype.names or ()):
             result.append(part)
             continue

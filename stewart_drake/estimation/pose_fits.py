@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import scipy.optimize
@@ -83,7 +83,9 @@ class ClosureFit(NamedTuple):
         return at
 
 
-def _minimised(errors: _Function, slope: _Function, directions: np.ndarray, start: np.ndarray, calls: int) -> Any:
+def _minimised(
+    errors: _Function, slope: _Function, directions: np.ndarray, start: np.ndarray, calls: int
+) -> scipy.optimize.OptimizeResult:
     """The result of `scipy.optimize.least_squares` for the step along directions; errors and slope take the change."""
     return scipy.optimize.least_squares(
         lambda step: errors(directions @ step).ravel(),

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.plant.model_files import crank_rotations, on_platform, rod_rotations, sdf_text
 from stewart_drake.robot import RobotParameters
@@ -92,7 +92,7 @@ def link_poses(
     return np.concatenate([positions, quaternions], axis=-1)
 
 
-def on_base(scene: dict[str, Any], links: np.ndarray, base: np.ndarray) -> tuple[dict[str, Any], np.ndarray]:
+def on_base(scene: Document, links: np.ndarray, base: np.ndarray) -> tuple[Document, np.ndarray]:
     """Scene and links (n, m, 7) in B as a base with axes (n, 3, 3) in the world carries them; its origin stays."""
     turns, places = Rotation.from_matrix(base), np.einsum("nij,nmj->nmi", base, links[..., :3])
     carried = [turns * Rotation.from_quat(links[:, k, 3:]) for k in range(links.shape[1])]
