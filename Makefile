@@ -85,6 +85,8 @@ page_monte_carlo = $(CLI) sweep monte_carlo --out runs/monte_carlo && $(SCRIPT)/
 # Five minutes.
 page_random_faults = $(SCRIPT)/random_faults.py
 # Two minutes.
+page_reach = $(SCRIPT)/reach_study.py
+# Two minutes.
 page_reachy = $(SCRIPT)/write_reachy.py
 # An hour; writes stewart_drake/paper/claims.csv too.
 page_reproduction = $(SCRIPT)/write_reproduction.py
