@@ -36,6 +36,32 @@ def test_python_blocks_and_misspelt_names_under_a_strict_type_checker(tmp_path):
     assert re.findall(r"^(\S+?):\d+: error", said, flags=re.MULTILINE) == ["misspelt.py"], said
 
 
+ROWS = re.findall(r"^\| .+? \| (.*\d.*?) \| (`.+`) \|$", README, flags=re.MULTILINE)
+NUMBER = re.compile(r"\d+(?:\.(\d+))?(?:e[+-]?\d+)?")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("number", "commands"), ROWS, ids=lambda cell: cell[:30])
+def test_the_command_of_a_row_prints_its_number(number, commands, tmp_path):
+    printed = ""
+    for command in re.findall(r"`(.+?)`", commands):
+        words = command.split()
+        if words[0] == "stewart-drake":
+            words = [sys.executable, "-m", "stewart_drake", *words[1:]]
+        elif words[0] == "python":
+            words = [sys.executable, str(ROOT / words[1]), *words[2:]]
+        run = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+        printed += run.stdout + run.stderr
+    found = [float(match[0]) for match in NUMBER.finditer(printed)]
+    for match in NUMBER.finditer(number):
+        digits = len(match[1] or "")
+        assert any(round(value, digits) == float(match[0]) for value in found), (match[0], printed[-2000:])
+
+
+def test_there_are_eight_rows():
+    assert len(ROWS) == 8
+
+
 def test_it_is_a_landing_page():
     assert README.count("\n") <= 90
 
@@ -46,7 +72,7 @@ def test_make_targets_exist_and_have_a_help_text():
     assert [name for name, rest in targets.items() if " ## " not in rest] == []
     pages = {f"results/{name}" for name in re.findall(r"^(?:define )?page_(\w+)", MAKEFILE, flags=re.MULTILINE)}
     assert all((ROOT / "docs" / f"{name}.md").is_file() for name in pages)
-    named = {name for text in PAGES.values() for name in re.findall(r"(?:`|^)make ([\w/-]+)", text, re.MULTILINE)}
+    named = {name for text in PAGES.values() for name in re.findall(r"(?:`|^)make (\w[\w/-]*)", text, re.MULTILINE)}
     assert {"demo", "test"} <= named
     assert named <= {*targets, *pages, "results/NAME"}
 
