@@ -51,6 +51,7 @@ _LEARNT = ("mass", "delay", *(f"{what}_{leg}" for what in ("drive", "viscous", "
 _LEARNT_UNITS = ("kg", "s", *("1",) * 6, *("N m s/rad",) * 6, *("N m",) * 6)
 _PLACE = (*"xyz", *(f"{axis}_half_width" for axis in "xyz"))
 _WRENCH = ("mx", "my", "mz", "fx", "fy", "fz")
+_IMU = tuple(f"{what}_{axis}" for what in ("rate", "force") for axis in "xyz")
 _JOINTS = ("viscous", "dry", "viscous_half_width", "dry_half_width")
 SIGNALS: Mapping[str, Signal] = {
     "time": Signal((), ("s",), "simulated time"),
@@ -67,6 +68,7 @@ SIGNALS: Mapping[str, Signal] = {
     "torque_applied": _legs("N m", "torque at the motors, delayed and within their limit", title="applied"),
     "crank_angle": _legs("rad", "true angle of a simulated crank, from the horizontal", "measured", ANGLES),
     "reading": _legs("rad", "angle of a crank as read by the controller; NaN without a reading"),
+    "imu": Signal(_IMU, ("rad/s",) * 3 + ("m/s^2",) * 3, "rates and specific force of the inertial sensor; NaN if not new"),
     "weights": _numbers(("omega_q", "omega_r"), "weights in use"),
     "block_weights": _numbers(
         ("q_pose", "q_rate", "q_integral", "r"), "block weights in use, in place of `weights`", "weights"

@@ -21,6 +21,7 @@ from stewart_drake.control.feedforward import lead_part
 from stewart_drake.control.friction_compensation import FrictionCompensation, standing_torque
 from stewart_drake.control.observer import SMALLEST_NOISE
 from stewart_drake.hardware.disturbances import total_wrench
+from stewart_drake.hardware.imu import imu_part
 from stewart_drake.hardware.motors import delay_part
 from stewart_drake.loop.part import NOTHING, LoopContext, Part
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
@@ -57,6 +58,12 @@ class ControlSide(NamedTuple):
     logged: Mapping[str, str | np.ndarray]  # Signals by their names in a log; an array stays as it is.
 
     @property
+    def outside(self) -> dict[str, int]:
+        """Signals that this side reads, and their sizes."""
+        imu = {"imu": 6} if any("imu" in part.inputs for part in self.parts) else {}
+        return {self.reading: self.context.reading, **imu, **{source.signal: source.size for source in self.sources}}
+
+    @property
     def every_part(self) -> tuple[Part, ...]:
         """All but the safety layer."""
         return (*self.parts, *self.at_end)
@@ -88,6 +95,8 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
         logged["disturbance"] = "wrench"
     way = command_path(scenario, side.command, side.initial_command, side.context.period, side.safety)
     logged["torque_applied"] = "motor_torque"
+    if scenario.sensors.imu is not None:
+        logged["imu"] = "imu"
     if side.safety is not None:
         logged["safety"] = "safety"
     return Loop((*sensors, *side.parts, *way, *side.at_end), (*side.sources, *pushes), "motor_torque", logged)
@@ -102,6 +111,8 @@ def machine_side(scenario: Scenario) -> Loop:
     first = scenario.controller_model.motors.initial_command(context_of(scenario, split=True))
     way = [part._replace(end_of_tick=True) for part in command_path(scenario, "command", first, step)]
     reading = {"reading": "reading" if sensors else "plant_pose"}
+    if scenario.sensors.imu is not None:
+        reading["imu"] = "imu"
     return Loop((*sensors, *way), _pushes(scenario), "motor_torque", reading, {"command": first})
 
 
@@ -111,7 +122,19 @@ def _pushes(scenario: Scenario) -> tuple[Source, ...]:
 
 
 def sensor_parts(scenario: Scenario) -> list[Part]:
-    """Parts that compute the signal `reading`; none if it is the pose of the plant."""
+    """Parts that compute the signals `reading`, none if it is the pose of the plant, and `imu`, if there is one."""
+    imu, step = scenario.sensors.imu, scenario.plant.time_step
+    if imu is None:
+        return _reading_parts(scenario)
+    part, late = imu_part(imu, scenario.gravity, step, scenario.reading_period), round(imu.delay / step)
+    if late == 0:
+        return [*_reading_parts(scenario), part]
+    delay = delay_part(late, np.concatenate(scenario.start()), "imu_delay")._replace(period=step)
+    delay = delay.connected(value="plant_pose").named(value="imu_motion")
+    return [*_reading_parts(scenario), delay, part.connected(plant_pose="imu_motion")]
+
+
+def _reading_parts(scenario: Scenario) -> list[Part]:
     period, step = scenario.reading_period, scenario.plant.time_step
     parts = [part._replace(period=period) for part in scenario.sensors.parts(period)]
     if (steps := round(scenario.sensors.delay / step)) == 0:
@@ -200,6 +223,7 @@ def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
         disturbance=expected,
         feedback=options.controller.feedback,
         split=split,
+        imu=model.imu,
     )
 
 
@@ -225,6 +249,8 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
     ]
     measurement = "measurement" if estimator else reading
     logged["measurement"] = measurement
+    if any("imu" in part.inputs for part in estimator):
+        logged["imu"] = "imu"
     observed = any("predicted" in part.outputs for part in estimator)
     if observed:
         logged["innovation"] = "innovation"

@@ -115,7 +115,8 @@ class Scenario(ControlOptions):
         """The simulated machine without faults, friction and payload."""
         readings, motors = self.sensors, self.motors.nominal
         read = readings.reading, readings.reading_noise
-        return Model(self.robot, self.gravity, None, *read, self.command_delay, motors, readings.delay)
+        delays = self.command_delay, motors, readings.delay
+        return Model(self.robot, self.gravity, None, *read, *delays, imu=readings.imu)
 
     def control(self) -> ControlOptions:
         """The controller's side alone, with `model` in full, for use on a machine."""
@@ -140,6 +141,8 @@ class Scenario(ControlOptions):
             raise ConfigurationError(
                 "model.reading", self.controller_model.reading, f"{self.sensors.reading}, as sensors read"
             )
+        if self.model.imu is not None and self.sensors.imu is None:
+            raise ConfigurationError("model.imu", "a sensor", "null, because sensors.imu is null")
         model_motors, motors = self.controller_model.motors, self.motors
         # The command of a user's motors is not checked.
         if motors.code is None and model_motors.command_quantity != motors.command_quantity:
@@ -147,6 +150,8 @@ class Scenario(ControlOptions):
             raise ConfigurationError("model.motors.kind", model_motors.kind, allowed)
         steps_per("controller.period", self.controller.period, self.plant.time_step)
         steps_per("estimator.period", self.reading_period, self.plant.time_step)
+        if self.sensors.imu is not None and self.sensors.imu.period is not None:
+            steps_per("sensors.imu.period", self.sensors.imu.period, self.plant.time_step)
         largest = MAX_STEPS * self.plant.time_step
         if self.duration > largest * (1.0 + 1e-9):
             raise ConfigurationError(
@@ -198,7 +203,9 @@ def load_driven(path: str | Path, overrides: Iterable[str] = (), trust_code: boo
         return load_scenario(file, overrides, trust_code)
     control = load_controller(file, overrides, trust_code)
     robot, motors = to_plain(control.controller_model.robot), to_plain(control.controller_model.motors)
-    sensors = "encoders" if control.controller_model.reading == "angles" else "ideal"
+    sensors: Document = {"kind": "encoders" if control.controller_model.reading == "angles" else "ideal"}
+    if control.controller_model.imu is not None:
+        sensors["imu"] = to_plain(control.controller_model.imu)
     trusted = all(part.code.trusted for part in user_parts(control))
     data = {**control.to_dict(), "robot": robot, "motors": motors, "sensors": sensors}
     return Scenario.from_dict(data, trust_code=trusted)

@@ -1,0 +1,399 @@
+"""The observer with an inertial sensor (IMU): one filter for the angles of the cranks and six inertial readings.
+
+Prediction, commands and delays are those of `observer`. The errors are those of the sensor's place and axes: along each
+of its three axes a rotation and a displacement. They are six chains
+
+    distance' = speed,  speed' = model + push + white noise,  push' = white noise,  bias' = white noise,
+
+with the covariance of each in the state. The noise of the angles and the unknown accelerations of the cranks reach a
+chain through the inverse Jacobian. A gyroscope measures speed + bias, an accelerometer the mean acceleration of its
+period + bias. Without inertial readings all chains have the same gains, and these are the observer's.
+
+A mean over the last period belongs to that time, so the acceleration since the last tick is the fifth element of a
+chain while a tick is computed. A reading that is older than that of the angles is compared with what was expected then,
+plus all corrections since.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+
+from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import Mat3, Mat6, Matrix, Record, TickResult, Vec1, Vec3, Vec6, Vec18, Vector, record
+from stewart_drake.control.estimator import DifferenceParams, DifferenceState
+from stewart_drake.control.observer import (
+    WHITE_SHARE,
+    ObserverParams,
+    ObserverState,
+    bandwidth,
+    begin,
+    innovate,
+    largest_break_away,
+    look_ahead,
+    rests_at_target,
+)
+from stewart_drake.loop.part import Part
+from stewart_drake.mechanics import kinematics_laws as laws
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.friction import Friction
+from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, Legs, Robot, dot
+from stewart_drake.mechanics.linear_algebra import copy_to, multiply, set_to, solve
+
+if TYPE_CHECKING:
+    from stewart_drake.hardware.imu import ImuOptions
+
+MOST_TICKS = 20  # [ticks] by which inertial readings may be older or newer than those of the angles.
+DISTANCE, SPEED, PUSH, BIAS, ACCELERATION = range(5)
+"""Elements of a chain; the last one only within a tick."""
+Mat4 = Annotated[np.ndarray, (4, 4)]
+Mat5 = Annotated[np.ndarray, (5, 5)]
+Vec5 = Annotated[np.ndarray, (5,)]
+Mat6x7 = Annotated[np.ndarray, (6, 7)]
+
+
+class ImuModel(Record):
+    """What the controller knows of the inertial sensor."""
+
+    mounting: Mat3  # R_PS
+    position: Vec3  # [m] in P.
+    variance: Vec6  # [rad^2/s^2, m^2/s^4] of a reading.
+    drift: Vec6  # [rad^2/s^2, m^2/s^4] of the change of a bias in a tick.
+    bias: Vec6  # [rad^2/s^2, m^2/s^4] of a bias at the start.
+    range: Vec6  # [rad/s, m/s^2] readings that are not below it are ignored.
+    scale_error: float  # [-] standard deviation of the relative errors of scale.
+    lag: float  # [ticks] by which a reading's middle is older than the reading of the angles, whole ones.
+    rest: float  # [s] the rest of it.
+    early: float  # [ticks] for which a reading waits for that of the angles.
+
+
+class InertialState(ObserverState):
+    """State of the observer with an inertial sensor; rates are those of the sensor's place."""
+
+    bias: Vec6  # [rad/s, m/s^2] of the readings.
+    before: Vec6  # [rad/s, m/s] angular velocity and velocity in B after the last correction.
+    covariance: Annotated[np.ndarray, (6, 4, 4)]  # Of the chains: distance, speed, push, bias; zero at first.
+    expected: Annotated[np.ndarray, (MOST_TICKS + 1, 6)]  # Readings of `lag` ticks less `corrected`, oldest first.
+    corrected: Vec6  # [rad/s, m/s^2] sum of all corrections: of rates, also by way of `pushed`; of the push.
+    pushed: Vec3  # [rad/s^2] sum of all corrections of the angular push.
+    waiting: Annotated[np.ndarray, (MOST_TICKS + 1, 6)]  # The last `early` + 1 readings, oldest first.
+
+
+@njit
+def inertial_tick(
+    robot: Robot,
+    params: ObserverParams,
+    model: ImuModel,
+    first_params: DifferenceParams,
+    friction: Friction,
+    reading: Vector,
+    imu: Vec6,
+    net_torque: Vec6,
+    reference: Vec18,
+    disturbance: Vec1,
+    legs: Legs,
+    estimate: DifferenceState,
+    state: InertialState,
+) -> TickResult:
+    """One tick, as `observer_tick`; `imu` (6,) [rad/s, m/s^2] is NaN where there is no new reading."""
+    robot, params, model, legs, state = record(robot), record(params), record(model), record(legs), record(state)
+    pose, rate, early = np.empty(6), np.empty(6), int(model.early)
+    for row in range(early):
+        copy_to(state.waiting[row], state.waiting[row + 1])
+    copy_to(state.waiting[early], imu)
+    if state.assembly_sign == 0.0:
+        status, leg, margin = begin(robot, params, record(first_params), reading, legs, record(estimate), state)
+        _start(params, model, state)
+        return status, leg, margin
+    status, leg, margin = innovate(robot, params, reading, net_torque, legs, pose, rate, state)
+    if status != OK:
+        return status, leg, margin
+    break_away = largest_break_away(record(friction))
+    held = rests_at_target(params, break_away, legs, disturbance[0], pose, reference)
+    if not _correct(params, model, disturbance[0], held, pose, rate, legs, state):
+        copy_to(state.measurement[:6], pose)
+        return PARALLEL, -1, 0.0
+    return look_ahead(robot, params, legs, state)
+
+
+@njit
+def _start(params: ObserverParams, model: ImuModel, state: InertialState) -> None:
+    """Sets what is expected of the first readings: those of a steady motion."""
+    turn, axes, arm, twist = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(6)
+    laws.rotation(state.read[:3], turn)
+    laws.twist_of(state.read[:6], state.read[6:], twist)
+    _sensor_frame(model, turn, axes, arm)
+    _move(twist, arm, 1.0, state.before[:])
+    for row in range(int(model.lag) + 1):
+        for k in range(3):
+            state.expected[row, k] = dot(axes[k], twist[:3])
+            state.expected[row, 3 + k] = params.gravity * axes[k, 2]
+    if model.early > 0.0:
+        # The first readings are too old to be of use.
+        for row in range(int(model.early)):
+            set_to(state.waiting[row], np.nan)
+
+
+@njit
+def _sensor_frame(model: ImuModel, turn: Mat3, axes: Mat3, arm: Vec3) -> None:
+    """Axes of the sensor in B, as rows, and its place from P [m] in B, at a rotation R_BP."""
+    laws.turned(turn, model.position[:], arm)
+    for k in range(3):
+        for i in range(3):
+            axes[k, i] = 0.0
+            for m in range(3):
+                axes[k, i] += turn[i, m] * model.mounting[m, k]
+
+
+@njit
+def _move(twist: Vec6, arm: Vec3, sign: float, out: Vec6) -> None:
+    """Twist at a place `arm` [m] from P where `sign` is 1; with -1 the twist of P from that at the place."""
+    across = np.empty(3)
+    laws.cross(twist[:3], arm, across)
+    for k in range(3):
+        out[k] = twist[k]
+        out[3 + k] = twist[3 + k] + sign * across[k]
+
+
+@njit
+def predict_chain(covariance: Mat4, h: float, white: float, wander: float, drift: float, out: Mat5) -> None:
+    """Covariance (5, 5) of a chain after a period h [s], with variances of the three noises in it."""
+    move, moved, jump = np.zeros((5, 4)), np.empty((5, 4)), np.zeros(5)
+    for k in range(4):
+        move[k, k] = 1.0
+    move[DISTANCE, SPEED], move[DISTANCE, PUSH], move[SPEED, PUSH], move[ACCELERATION, PUSH] = h, 0.5 * h * h, h, 1.0
+    jump[DISTANCE], jump[SPEED], jump[ACCELERATION] = 0.5 * h * h, h, 1.0
+    multiply(move, covariance, moved)
+    for i in range(5):
+        for j in range(5):
+            out[i, j] = white * jump[i] * jump[j]
+            for k in range(4):
+                out[i, j] += moved[i, k] * move[j, k]
+    out[PUSH, PUSH] += wander
+    out[BIAS, BIAS] += drift
+
+
+@njit
+def measure_chain(covariance: Mat5, by: Vec5, error: float, variance: float, correction: Vec5) -> None:
+    """Takes a measurement of `by` times a chain: `error` is measured minus predicted, before all corrections."""
+    gain, total = np.empty(5), variance
+    for i in range(5):
+        gain[i] = 0.0
+        for k in range(5):
+            gain[i] += covariance[i, k] * by[k]
+        error -= by[i] * correction[i]
+    for i in range(5):
+        total += by[i] * gain[i]
+    for i in range(5):
+        correction[i] += gain[i] / total * error
+        for k in range(5):
+            covariance[i, k] -= gain[i] * gain[k] / total
+
+
+@njit
+def _expect(
+    params: ObserverParams, model: ImuModel, twist: Vec6, axes: Mat3, state: InertialState, out: Vec6, size: Vec6
+) -> None:
+    """Readings (6,) without bias at a sensor's twist, and sizes of rate and acceleration for the errors of scale."""
+    rest, turned, swing = model.rest, np.empty(3), np.empty(3)
+    for k in range(3):
+        rate, force, size[3 + k] = 0.0, params.gravity * axes[k, 2], 0.0
+        for i in range(3):
+            rate += axes[k, i] * (twist[i] - rest / params.period * (twist[i] - state.before[i]))
+            size[3 + k] += axes[k, i] * (twist[3 + i] - state.before[3 + i]) / params.period
+        out[k], size[k], turned[k] = rate, rate, force + size[3 + k]
+    # The axes are those of the reading's middle.
+    laws.cross(out[:3], turned, swing)
+    for k in range(3):
+        out[3 + k] = turned[k] + rest * swing[k]
+
+
+@njit
+def _cranks_to_sensor(legs: Legs, innovation: Vec6, axes: Mat3, arm: Vec3, out: Mat6x7) -> float:
+    """Rotations and displacements along the sensor's axes per crank, and in the last column those of the innovation.
+
+    Returns the sign of the determinant of the rods' lines, 0 if singular.
+    """
+    lines, column, place = legs.line.copy(), np.empty(6), np.empty(6)
+    for i in range(6):
+        for k in range(6):
+            out[i, k] = legs.lever[i] if i == k else 0.0
+        out[i, 6] = legs.lever[i] * innovation[i]
+    sign = solve(lines, out)
+    for i in range(7):
+        for k in range(6):
+            column[k] = out[k, i]
+        _move(column, arm, 1.0, place)
+        for k in range(3):
+            out[k, i], out[3 + k, i] = dot(axes[k], place[:3]), dot(axes[k], place[3:])
+    return sign
+
+
+@njit
+def _correct(
+    params: ObserverParams,
+    model: ImuModel,
+    density: float,
+    held: bool,
+    pose: Vec6,
+    rate: Vec6,
+    legs: Legs,
+    state: InertialState,
+) -> bool:
+    """Corrects the predicted pose and rate by all readings; sets `state.read`. False at a singularity.
+
+    The push stays where it is `held`.
+    """
+    axes, arm, twist, here = np.empty((3, 3)), np.empty(3), np.empty(6), np.empty(6)
+    expected, size, by_crank = np.empty(6), np.empty(6), np.empty((6, 7))
+    _sensor_frame(model, legs.rotation[:], axes, arm)
+    laws.twist_of(pose, rate, twist)
+    _move(twist, arm, 1.0, here)
+    if _cranks_to_sensor(legs, state.innovation[:], axes, arm, by_crank) != state.assembly_sign:
+        return False
+    _expect(params, model, here, axes, state, expected, size)
+    corrections, lag = np.empty((6, 5)), int(model.lag)
+    for k in range(6):
+        set_to(corrections[k], 0.0)
+        late = 0.0
+        if k < 3:
+            # What the push of now would have done since then, instead of the pushes that were predicted with.
+            state.corrected[k] += params.period * state.pushed[k]
+            late = model.lag * params.period * state.pushed[k]
+        awaited = expected[k] if lag == 0 else state.expected[0, k] + state.corrected[k] - late
+        read = state.waiting[0, k]
+        error = read - state.bias[k] - awaited if abs(read) < model.range[k] else np.nan
+        _correct_chain(params, model, density, k, by_crank, error, size[k], state.covariance[k], corrections[k])
+    for row in range(lag - 1):
+        copy_to(state.expected[row], state.expected[row + 1])
+    for k in range(6):
+        state.bias[k] += corrections[k, BIAS]
+        if held:
+            corrections[k, PUSH] = 0.0
+        if k < 3:
+            state.pushed[k] += corrections[k, PUSH]
+        state.corrected[k] += corrections[k, SPEED if k < 3 else PUSH]
+        expected[k] += corrections[k, SPEED if k < 3 else ACCELERATION] - state.corrected[k]
+    copy_to(state.expected[max(lag - 1, 0)], expected)
+    _apply(axes, arm, corrections, here, pose, rate, legs, state)
+    return True
+
+
+@njit
+def _correct_chain(
+    params: ObserverParams,
+    model: ImuModel,
+    density: float,
+    k: int,
+    by_crank: Mat6x7,
+    error: float,
+    size: float,
+    covariance: Mat4,
+    correction: Vec5,
+) -> None:
+    """A tick of the k-th chain; `error` of the inertial reading is NaN where there is none."""
+    h, speed, whole, by = params.period, bandwidth(params.noise, density, params.period), np.empty((5, 5)), np.zeros(5)
+    share = 0.0  # Variance of the chain per variance of a crank.
+    for i in range(6):
+        share += by_crank[k, i] * by_crank[k, i]
+    noise = share * params.noise * params.noise
+    # White noise as in `kalman_gains`.
+    white = noise * (WHITE_SHARE * (speed * h) ** 2 / (h * h)) ** 2
+    if covariance[0, 0] == 0.0:
+        covariance[DISTANCE, DISTANCE], covariance[SPEED, SPEED] = noise, noise * speed**2
+        covariance[PUSH, PUSH], covariance[BIAS, BIAS] = noise * speed**4, model.bias[k]
+    predict_chain(covariance, h, white, share * density * density * h, model.drift[k], whole)
+    by[DISTANCE] = 1.0
+    measure_chain(whole, by, by_crank[k, 6], noise, correction)
+    if not np.isnan(error):
+        by[DISTANCE], by[BIAS] = 0.0, 1.0
+        variance = model.variance[k] + (model.scale_error * size) ** 2
+        if k < 3:
+            by[SPEED] = 1.0
+            if model.lag == 0.0:
+                by[ACCELERATION] = -model.rest
+            else:
+                by[PUSH] = -(model.lag * h + model.rest)
+                variance += white * h * h * model.lag
+        elif model.lag == 0.0:
+            by[ACCELERATION] = 1.0
+        else:
+            by[PUSH] = 1.0
+            variance += white
+        measure_chain(whole, by, error, variance, correction)
+    for i in range(4):
+        for j in range(4):
+            covariance[i, j] = whole[i, j]
+
+
+@njit
+def _apply(
+    axes: Mat3,
+    arm: Vec3,
+    corrections: Matrix,
+    here: Vec6,
+    pose: Vec6,
+    rate: Vec6,
+    legs: Legs,
+    state: InertialState,
+) -> None:
+    """Adds the corrections of the chains to pose, rate and disturbance; sets `state.read`."""
+    changes, along, change, predicted = np.empty((3, 6)), np.empty(6), np.empty(6), pose.copy()
+    for n in range(3):
+        for i in range(3):
+            along[i], along[3 + i] = 0.0, 0.0
+            for k in range(3):
+                along[i] += axes[k, i] * corrections[k, n]
+                along[3 + i] += axes[k, i] * corrections[3 + k, n]
+        if n == SPEED:
+            for k in range(6):
+                state.before[k] = here[k] + along[k]
+        _move(along, arm, -1.0, changes[n])
+    laws.rate_of(predicted, changes[DISTANCE], change)
+    for k in range(6):
+        pose[k] += change[k]
+    laws.rate_of(predicted, changes[SPEED], change)
+    for k in range(6):
+        rate[k] += change[k]
+    copy_to(state.read[:6], pose)
+    copy_to(state.read[6:], rate)
+    laws.crank_rates(legs, changes[PUSH], change)
+    for i in range(6):
+        state.disturbance[i] += change[i]
+
+
+def imu_model(options: ImuOptions, period: float, reading_age: float) -> ImuModel:
+    """For an observer's `period` [s], and angles that are `reading_age` [s] old."""
+    every = options.period or period
+    late = (options.delay + 0.5 * every - reading_age) / period
+    early = max(0, math.ceil(-late - 1e-9))
+    lag = math.floor(late + early + 1e-9)
+    if max(early, lag) > MOST_TICKS:
+        allowed = f"an age within {MOST_TICKS * period:g} s of that of the angles, {MOST_TICKS} of an observer's ticks"
+        raise ConfigurationError("model.imu.delay", options.delay, allowed)
+    bias = np.square(options.by_channel("bias"))
+    bias[3:] += (options.scale_error * STANDARD_GRAVITY) ** 2
+    return ImuModel.new(
+        mounting=options.mounting,
+        position=options.position,
+        variance=np.square(options.noise(every)) + np.square(options.quantum) / 12.0,
+        drift=np.square(options.by_channel("drift")) * period,
+        bias=bias,
+        range=options.by_channel("range") - options.quantum,
+        scale_error=options.scale_error,
+        lag=lag,
+        rest=max(0.0, (late + early - lag) * period),
+        early=early,
+    )
+
+
+def with_imu(part: Part, options: ImuOptions, period: float, reading_age: float) -> Part:
+    """The part of an observer, with an input `imu` (6,) [rad/s, m/s^2] after the reading; as `imu_model`."""
+    inputs = {"reading": part.inputs["reading"], "imu": 6, **part.inputs}
+    initial = InertialState.new(**{name: part.initial[name] for name in part.initial.dtype.names or ()})
+    parameters = {"robot": part.parameters["robot"], "params": part.parameters["params"]}
+    parameters |= {"model": imu_model(options, period, reading_age), **part.parameters}
+    return part._replace(kernel=inertial_tick, inputs=inputs, initial=initial, parameters=parameters)
