@@ -64,6 +64,11 @@ class ControlSide(NamedTuple):
         return {self.reading: self.context.reading, **imu, **{source.signal: source.size for source in self.sources}}
 
     @property
+    def numbers(self) -> int:
+        """Numbers of a reading, with those of the inertial sensor."""
+        return self.context.reading + self.outside.get("imu", 0)
+
+    @property
     def every_part(self) -> tuple[Part, ...]:
         """All but the safety layer."""
         return (*self.parts, *self.at_end)
