@@ -112,7 +112,9 @@ def table_of_robots(count: int, bits: int, period: float, jobs: int) -> list[str
         values = np.array([row[name] for row in rows])
         ratio, worse = values[:, 0] / none, int((values[:, 0] > 1.02 * none).sum())
         high = np.nanquantile(ratio, 0.9)
-        lines.append(f"| {name} | {np.nanmedian(ratio):.2f} | {high:.2f} | {worse} | {np.nanmedian(values[:, 1]):.0f} |")
+        lines.append(
+            f"| {name} | {np.nanmedian(ratio):.2f} | {high:.2f} | {worse} | {np.nanmedian(values[:, 1]):.0f} |"
+        )
     lines.append(f"\n{int(np.isfinite(none).sum())} of {count} robots follow the motion without the sensor.\n")
     return lines
 

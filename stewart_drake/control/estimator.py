@@ -33,7 +33,7 @@ class EstimatorOptions(Section, key="estimator"):
 
     exact: ClassVar[bool] = False
     """Whether it passes the reading of a sensor of pose and rate on unchanged."""
-    imu: ClassVar[bool] = InOtherKinds(False)
+    imu = InOtherKinds(False)
     """Whether it uses the inertial sensor of the model."""
     kind: str
     period: Period | None = None

@@ -23,7 +23,7 @@ import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat3, Mat6, Matrix, Record, TickResult, Vec1, Vec3, Vec6, Vec18, Vector, record
+from stewart_drake.base.records import Mat3, Matrix, Record, TickResult, Vec1, Vec3, Vec6, Vec18, Vector, record
 from stewart_drake.control.estimator import DifferenceParams, DifferenceState
 from stewart_drake.control.observer import (
     WHITE_SHARE,

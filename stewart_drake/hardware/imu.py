@@ -7,7 +7,6 @@ place, both in the sensor's axes. The mean force follows from the change of the 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -84,8 +83,8 @@ class ImuOptions(Section, key="sensors.imu"):
     @model_validator(mode="before")
     @classmethod
     def _with_preset(cls, data: object) -> object:
-        preset = data.get("preset") if isinstance(data, Mapping) else None
-        return {**PRESETS[preset], **data} if isinstance(preset, str) and preset in PRESETS else data
+        preset = data.get("preset") if isinstance(data, dict) else None
+        return {**PRESETS[preset], **data} if isinstance(preset, str) and preset in PRESETS else data  # type: ignore[dict-item]
 
     def by_channel(self, what: str) -> np.ndarray:
         """(6,) of a key, `gyro_NAME` and `accelerometer_NAME`, such as noise."""

@@ -27,7 +27,7 @@ class SensorOptions(Section, key="sensors"):
 
     reading: ClassVar[Any] = InOtherKinds("pose")
     """What a reading is: the six angles of the cranks [rad], or pose [rad, m] and its rate."""
-    imu: ClassVar[Any] = InOtherKinds(None)
+    imu = InOtherKinds(None)
     """The inertial sensor on the platform; None for none."""
     kind: str
     """Kind of sensor."""

@@ -68,7 +68,9 @@ SIGNALS: Mapping[str, Signal] = {
     "torque_applied": _legs("N m", "torque at the motors, delayed and within their limit", title="applied"),
     "crank_angle": _legs("rad", "true angle of a simulated crank, from the horizontal", "measured", ANGLES),
     "reading": _legs("rad", "angle of a crank as read by the controller; NaN without a reading"),
-    "imu": Signal(_IMU, ("rad/s",) * 3 + ("m/s^2",) * 3, "rates and specific force of the inertial sensor; NaN if not new"),
+    "imu": Signal(
+        _IMU, ("rad/s",) * 3 + ("m/s^2",) * 3, "rates and specific force of the inertial sensor; NaN if not new"
+    ),
     "weights": _numbers(("omega_q", "omega_r"), "weights in use"),
     "block_weights": _numbers(
         ("q_pose", "q_rate", "q_integral", "r"), "block weights in use, in place of `weights`", "weights"

@@ -49,7 +49,7 @@ class PacketMachine(ABC, Generic[_Line]):
     paced = True
     after = "its own side keeps the angles, or brakes"
     _read_at = _silent_since = _arrived_at = _acknowledged_at = 0.0
-    _sent = np.zeros(HISTORY)
+    _sent, _given = np.zeros(HISTORY), 0
 
     def __init__(self, scenario: Scenario, name: str) -> None:
         self._scenario, self.name = scenario, name
@@ -158,7 +158,7 @@ class PacketMachine(ABC, Generic[_Line]):
         self._values: list[np.ndarray | None] = [None] * HISTORY  # None where a packet was no command.
         self._acknowledged: np.ndarray | None = None
         self._total: int = 0
-        self._given: int = 0  # `_total` at the last `read`.
+        self._given = 0  # `_total` at the last `read`.
         self._read_at = self._silent_since = self._arrived_at = self._acknowledged_at = now
 
     def _connected(self) -> wire.Packet:

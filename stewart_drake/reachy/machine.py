@@ -35,6 +35,7 @@ class ReachyMachine:
     reads = True
     paced = True
     after = "the daemon keeps its motors on, and holds"
+    _imu: np.ndarray | None = None  # Inertial reading since the last `read`.
 
     def __init__(self, scenario: Scenario, host: str, port: int) -> None:
         machine.check_takes(scenario, self.takes, "reachy")
@@ -99,7 +100,7 @@ class ReachyMachine:
         self._socket = None
         self._number, self._pose_number, self._arrived, self._off = -1, -1, 0.0, False
         self._joints, self._yaw, self._pose, self._strange = np.zeros(7), 0.0, np.zeros(6), ""
-        self._imu: np.ndarray | None = None  # Since the last `read`.
+        self._imu = None
 
     def _opened(self) -> Any:
         if self._socket is None:

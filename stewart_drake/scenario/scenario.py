@@ -115,8 +115,8 @@ class Scenario(ControlOptions):
         """The simulated machine without faults, friction and payload."""
         readings, motors = self.sensors, self.motors.nominal
         read = readings.reading, readings.reading_noise
-        delays = self.command_delay, motors, readings.delay
-        return Model(self.robot, self.gravity, None, *read, *delays, imu=readings.imu)
+        model = Model(self.robot, self.gravity, None, *read, self.command_delay, motors, readings.delay)
+        return model._replace(imu=readings.imu)
 
     def control(self) -> ControlOptions:
         """The controller's side alone, with `model` in full, for use on a machine."""
