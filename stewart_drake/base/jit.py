@@ -11,7 +11,6 @@ import logging
 import os
 import shutil
 import tempfile
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -20,7 +19,6 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 from numba.core import caching
-from numba.core.errors import NumbaExperimentalFeatureWarning
 
 _F = TypeVar("_F", bound=Callable[..., object])
 
@@ -31,8 +29,6 @@ _CONFIG: Any = numba.config
 _FunctionCache: Any = caching.FunctionCache
 _LAWS: list[object] = []
 _typeof: Any = numba.typeof
-# A law for a record also takes a record that extends it.
-warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
 DISABLED = bool(_CONFIG.DISABLE_JIT)  # Whether laws run in Python, by `NUMBA_DISABLE_JIT=1`.
 
 

@@ -57,7 +57,7 @@ class Record(_Base):
     """Base of records. A field is a `float`, an array such as `Vec6`, or another record.
 
     A size may be a name, `Annotated[np.ndarray, ("n",)]`; `sized(n=4)` is then the record of that size. A record may
-    extend another one; the fields of that come first.
+    extend others; their fields come first, in the order of the bases.
 
     Attributes:
         layout: dtype of the structured array.
@@ -70,7 +70,10 @@ class Record(_Base):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        cls.fields = {**getattr(cls, "fields", {}), **inspect.get_annotations(cls, eval_str=True)}
+        cls.fields = {}
+        for base in cls.__bases__:
+            cls.fields |= getattr(base, "fields", {})
+        cls.fields |= inspect.get_annotations(cls, eval_str=True)
         shapes = {name: _shape(f"{cls.__name__}.{name}", kind, cls._sizes) for name, kind in cls.fields.items()}
         # Without fields if a size is missing, see `sized`.
         items = shapes.items() if None not in shapes.values() else ()

@@ -47,9 +47,9 @@ if TYPE_CHECKING:
     from stewart_drake.hardware.imu import ImuOptions
 
 MOST_TICKS = 20  # [ticks] by which inertial readings may be older or newer than those of the angles.
-# [-] standard deviation of inertial readings in the filter, over that of the sensor. The chains' white noise damps the
-# loop and does not occur, so the model is better than the filter believes. Without this factor slow noise of the
-# accelerometers would move the platform more than that of the encoders does (breathing at 17 bits: 4.3 instead of 2 um).
+# [-] standard deviation of inertial readings in the filter, over that of the sensor. The white noise of a chain damps
+# the loop and does not occur, so the model is better than the filter believes. Without this factor slow noise of the
+# accelerometers would move the platform more than that of the encoders: breathing at 17 bits by 4.3 instead of 2 um.
 CAUTION = 10.0
 DISTANCE, SPEED, PUSH, BIAS, ACCELERATION = range(5)
 """Elements of a chain; the last one only within a tick."""
@@ -74,8 +74,8 @@ class ImuModel(Record):
     early: float  # [ticks] for which a reading waits for that of the angles.
 
 
-class InertialState(ObserverState):
-    """State of the observer with an inertial sensor; rates are those of the sensor's place."""
+class InertialMemory(Record):
+    """What the filter remembers; rates are those of the sensor's place."""
 
     bias: Vec6  # [rad/s, m/s^2] of the readings.
     before: Vec6  # [rad/s, m/s] angular velocity and velocity in B after the last correction.
@@ -84,6 +84,10 @@ class InertialState(ObserverState):
     corrected: Vec6  # [rad/s, m/s^2] sum of all corrections: of rates, also by way of `pushed`; of the push.
     pushed: Vec3  # [rad/s^2] sum of all corrections of the angular push.
     waiting: Annotated[np.ndarray, (MOST_TICKS + 1, 6)]  # The last `early` + 1 readings, oldest first.
+
+
+class InertialState(InertialMemory, ObserverState):
+    """State of the observer with an inertial sensor."""
 
 
 @njit

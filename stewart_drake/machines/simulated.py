@@ -161,9 +161,15 @@ class RobotSide:
     def take(self, data: bytes, peer: Address, now: float) -> bool:
         """Handles a packet of a peer; True if it is a command to follow."""
         packet, quiet = wire.decode(data), now - self._heard > wire.QUIET_AFTER
+        packet = None if packet is None or packet.imu is not None else packet
         active = packet is not None and bool(packet.flags & wire.ACTIVE)
         reason = "accepted"
-        if packet is None or packet.flags & wire.READING or (active and packet.takes != self.takes):
+        if (
+            packet is None
+            or packet.imu is not None
+            or packet.flags & wire.READING
+            or (active and packet.takes != self.takes)
+        ):
             reason = "garbage"
         elif not quiet and peer != self.peer:
             reason = "foreign"

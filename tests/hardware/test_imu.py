@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stewart_drake import ConfigurationError, Controller, load_scenario
+from stewart_drake import ConfigurationError, Controller, load_scenario, run
 from stewart_drake.hardware.imu import ImuOptions, imu_part
 from stewart_drake.scenario.assembly import sensor_parts
 from stewart_drake.scenario.scenario import Scenario
@@ -146,3 +146,16 @@ def test_a_model_without_a_sensor_and_readings_of_another_size_are_one_line():
     controller, out = Controller(scenario(imu={})), np.empty(6)
     with pytest.raises(ConfigurationError, match=r"imu.*shape \(6,\)"):
         controller.step(np.zeros(6), 0.0, out, imu=np.zeros(5))
+
+
+@pytest.mark.parametrize("kind", ["drake", "mujoco"])
+def test_all_engines_give_the_same_readings(kind):
+    def inertial(kind):
+        plant = {"kind": kind, "time_step": 0.0005}
+        loaded = load_scenario("exact_fig7", ["duration=0.2"])
+        loaded = loaded.replace({"plant": plant, "sensors": {"kind": "encoders", "imu": PERFECT}})
+        return run(loaded)["imu"]
+
+    one, other = inertial("closed_form"), inertial(kind)
+    assert np.ptp(one, axis=0).max() > 0.1
+    np.testing.assert_allclose(other, one, atol=5e-3)
