@@ -41,7 +41,7 @@ from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, Legs, Robot, dot
-from stewart_drake.mechanics.linear_algebra import copy_to, multiply, set_to, solve
+from stewart_drake.mechanics.linear_algebra import copy_to, set_to, solve
 
 if TYPE_CHECKING:
     from stewart_drake.hardware.imu import ImuOptions
@@ -57,6 +57,7 @@ Mat4 = Annotated[np.ndarray, (4, 4)]
 Mat5 = Annotated[np.ndarray, (5, 5)]
 Vec5 = Annotated[np.ndarray, (5,)]
 Mat6x7 = Annotated[np.ndarray, (6, 7)]
+Mat7x5 = Annotated[np.ndarray, (7, 5)]
 
 
 class ImuModel(Record):
@@ -159,35 +160,45 @@ def _sensor_frame(model: ImuModel, turn: Mat3, axes: Mat3, arm: Vec3) -> None:
 @njit
 def _move(twist: Vec6, arm: Vec3, sign: float, out: Vec6) -> None:
     """Twist at a place `arm` [m] from P where `sign` is 1; with -1 the twist of P from that at the place."""
-    across = np.empty(3)
-    laws.cross(twist[:3], arm, across)
     for k in range(3):
         out[k] = twist[k]
-        out[3 + k] = twist[3 + k] + sign * across[k]
+    out[3] = twist[3] + sign * (twist[1] * arm[2] - twist[2] * arm[1])
+    out[4] = twist[4] + sign * (twist[2] * arm[0] - twist[0] * arm[2])
+    out[5] = twist[5] + sign * (twist[0] * arm[1] - twist[1] * arm[0])
 
 
 @njit
 def predict_chain(covariance: Mat4, h: float, white: float, wander: float, drift: float, out: Mat5) -> None:
     """Covariance (5, 5) of a chain after a period h [s], with variances of the three noises in it."""
-    move, moved, jump = np.zeros((5, 4)), np.empty((5, 4)), np.zeros(5)
+    half = 0.5 * h * h
+    for i in range(4):
+        for k in range(4):
+            out[i, k] = covariance[i, k]
     for k in range(4):
-        move[k, k] = 1.0
-    move[DISTANCE, SPEED], move[DISTANCE, PUSH], move[SPEED, PUSH], move[ACCELERATION, PUSH] = h, 0.5 * h * h, h, 1.0
-    jump[DISTANCE], jump[SPEED], jump[ACCELERATION] = 0.5 * h * h, h, 1.0
-    multiply(move, covariance, moved)
+        out[DISTANCE, k] += h * out[SPEED, k] + half * out[PUSH, k]
+        out[SPEED, k] += h * out[PUSH, k]
+    for i in range(4):
+        out[i, DISTANCE] += h * out[i, SPEED] + half * out[i, PUSH]
+        out[i, SPEED] += h * out[i, PUSH]
+    for k in range(4):
+        out[ACCELERATION, k] = out[k, ACCELERATION] = out[PUSH, k]
+    out[ACCELERATION, ACCELERATION] = out[PUSH, PUSH]
     for i in range(5):
-        for j in range(5):
-            out[i, j] = white * jump[i] * jump[j]
-            for k in range(4):
-                out[i, j] += moved[i, k] * move[j, k]
+        into = half if i == DISTANCE else h if i == SPEED else 1.0 if i == ACCELERATION else 0.0
+        out[i, DISTANCE] += white * into * half
+        out[i, SPEED] += white * into * h
+        out[i, ACCELERATION] += white * into
     out[PUSH, PUSH] += wander
     out[BIAS, BIAS] += drift
 
 
 @njit
-def measure_chain(covariance: Mat5, by: Vec5, error: float, variance: float, correction: Vec5) -> None:
-    """Takes a measurement of `by` times a chain: `error` is measured minus predicted, before all corrections."""
-    gain, total = np.empty(5), variance
+def measure_chain(covariance: Mat5, by: Vec5, error: float, variance: float, gain: Vec5, correction: Vec5) -> None:
+    """Takes a measurement of `by` times a chain: `error` is measured minus predicted, before all corrections.
+
+    `gain` is work space.
+    """
+    total = variance
     for i in range(5):
         gain[i] = 0.0
         for k in range(5):
@@ -196,9 +207,10 @@ def measure_chain(covariance: Mat5, by: Vec5, error: float, variance: float, cor
     for i in range(5):
         total += by[i] * gain[i]
     for i in range(5):
-        correction[i] += gain[i] / total * error
+        share = gain[i] / total
+        correction[i] += share * error
         for k in range(5):
-            covariance[i, k] -= gain[i] * gain[k] / total
+            covariance[i, k] -= share * gain[k]
 
 
 @njit
@@ -263,7 +275,7 @@ def _correct(
     if _cranks_to_sensor(legs, state.innovation[:], axes, arm, by_crank) != state.assembly_sign:
         return False
     _expect(params, model, here, axes, state, expected, size)
-    corrections, lag = np.empty((6, 5)), int(model.lag)
+    corrections, work, lag = np.empty((6, 5)), np.empty((7, 5)), int(model.lag)
     for k in range(6):
         set_to(corrections[k], 0.0)
         late = 0.0
@@ -274,7 +286,7 @@ def _correct(
         awaited = expected[k] if lag == 0 else state.expected[0, k] + state.corrected[k] - late
         read = state.waiting[0, k]
         error = read - state.bias[k] - awaited if abs(read) < model.range[k] else np.nan
-        _correct_chain(params, model, density, k, by_crank, error, size[k], state.covariance[k], corrections[k])
+        _correct_chain(params, model, density, k, by_crank, error, size[k], state.covariance[k], work, corrections[k])
     for row in range(lag - 1):
         copy_to(state.expected[row], state.expected[row + 1])
     for k in range(6):
@@ -300,10 +312,13 @@ def _correct_chain(
     error: float,
     size: float,
     covariance: Mat4,
+    work: Mat7x5,
     correction: Vec5,
 ) -> None:
-    """A tick of the k-th chain; `error` of the inertial reading is NaN where there is none."""
-    h, speed, whole, by = params.period, bandwidth(params.noise, density, params.period), np.empty((5, 5)), np.zeros(5)
+    """A tick of the k-th chain; `error` of the inertial reading is NaN where there is none. `work` is overwritten."""
+    h, speed = params.period, bandwidth(params.noise, density, params.period)
+    whole, by, gain = work[:5], work[5], work[6]
+    set_to(by, 0.0)
     share = 0.0  # Variance of the chain per variance of a crank.
     for i in range(6):
         share += by_crank[k, i] * by_crank[k, i]
@@ -315,7 +330,7 @@ def _correct_chain(
         covariance[PUSH, PUSH], covariance[BIAS, BIAS] = noise * speed**4, model.bias[k]
     predict_chain(covariance, h, white, share * density * density * h, model.drift[k], whole)
     by[DISTANCE] = 1.0
-    measure_chain(whole, by, by_crank[k, 6], noise, correction)
+    measure_chain(whole, by, by_crank[k, 6], noise, gain, correction)
     if not np.isnan(error):
         by[DISTANCE], by[BIAS] = 0.0, 1.0
         variance = model.variance[k] + (model.scale_error * size) ** 2
@@ -331,7 +346,7 @@ def _correct_chain(
         else:
             by[PUSH] = 1.0
             variance += white
-        measure_chain(whole, by, error, variance, correction)
+        measure_chain(whole, by, error, variance, gain, correction)
     for i in range(4):
         for j in range(4):
             covariance[i, j] = whole[i, j]

@@ -7,12 +7,12 @@ place, both in the sensor's axes. The mean force follows from the change of the 
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from stewart_drake.base.config import NotNegative, Period, Phase, Positive, Section, Seed, Share, Text
+from stewart_drake.base.config import Natural, NotNegative, Period, Phase, Positive, Section, Seed, Share, Text
 from stewart_drake.base.families import Table
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Mat3, Record, Vec3, Vec6, Vec12, record
@@ -72,13 +72,12 @@ class ImuOptions(Section, key="sensors.imu"):
     """[m/s^2 per sqrt(s)] random walk of the offsets."""
     accelerometer_range: Annotated[Positive, Field(le=LARGEST_SIZE)] = 6.0 * _G
     """[m/s^2] largest reading of an accelerometer."""
-    bits: Annotated[int, Field(ge=6, le=32)] = 16
+    bits: Annotated[Natural, Field(ge=6, le=32)] = 16
     """[bits] of a reading, over the range to both sides."""
     scale_error: Share = 0.005
     """[-] standard deviation of the relative errors of the six scales."""
     noise_seed: Seed = 0
     """Seed of noise, offsets and scales."""
-    kind_keys: ClassVar[frozenset[str]] = frozenset()
 
     @model_validator(mode="before")
     @classmethod

@@ -22,7 +22,7 @@ def test_without_inertial_readings_a_chain_has_the_gains_of_the_observer():
     for _ in range(500):
         predict_chain(chain, PERIOD, white, DENSITY**2 * PERIOD, 0.0, whole)
         correction = np.zeros(5)
-        measure_chain(whole, np.array([1.0, 0.0, 0.0, 0.0, 0.0]), 1.0, NOISE**2, correction)
+        measure_chain(whole, np.array([1.0, 0.0, 0.0, 0.0, 0.0]), 1.0, NOISE**2, np.empty(5), correction)
         chain = whole[:4, :4].copy()
     np.testing.assert_allclose(correction[[DISTANCE, SPEED, PUSH]], kalman_gains(NOISE, DENSITY, PERIOD), rtol=1e-6)
     assert correction[BIAS] == 0.0
@@ -34,7 +34,7 @@ def test_measurements_in_turn_are_those_of_one_least_squares_problem():
     before, by, errors, variances = root @ root.T, rng.standard_normal((2, 5)), [0.3, -0.7], [0.5, 2.0]
     after, correction = before.copy(), np.zeros(5)
     for row, error, variance in zip(by, errors, variances, strict=True):
-        measure_chain(after, row, error, variance, correction)
+        measure_chain(after, row, error, variance, np.empty(5), correction)
     information = np.linalg.inv(before) + by.T @ np.diag(1.0 / np.array(variances)) @ by
     np.testing.assert_allclose(after, np.linalg.inv(information), atol=1e-10)
     np.testing.assert_allclose(

@@ -159,3 +159,11 @@ def test_all_engines_give_the_same_readings(kind):
     one, other = inertial("closed_form"), inertial(kind)
     assert np.ptp(one, axis=0).max() > 0.1
     np.testing.assert_allclose(other, one, atol=5e-3)
+
+
+def test_a_range_that_is_too_small_is_a_warning_and_the_run_goes_on():
+    loaded = load_scenario("exact_fig7", ["duration=0.2", "plant.kind=closed_form"])
+    imu = {**PERFECT, "gyro_range": 0.3}
+    log = run(loaded.replace({"sensors": {"kind": "encoders", "imu": imu}, "estimator": "observer"}))
+    (told,) = (each for each in log.warnings if each["name"] == "imu_saturated")
+    assert (log.status, 0.0 < told["number"] <= 1.0) == ("completed", True)

@@ -20,7 +20,13 @@ from stewart_drake.machines.simulated import RobotSide
 FLAGS = st.sampled_from([bits | takes << 2 for bits in (0, 1, 2, 3, 16, 19) for takes in (0, 1, 2)])
 VALUES = st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False), min_size=6, max_size=6)
 PACKETS = st.builds(
-    Packet, FLAGS, st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1), st.integers(0, 2**64 - 1), VALUES.map(np.array)
+    Packet,
+    FLAGS,
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 2**64 - 1),
+    VALUES.map(np.array),
+    st.none(),
 )
 
 
