@@ -32,7 +32,6 @@ from stewart_drake.control.observer import (
     bandwidth,
     begin,
     innovate,
-    largest_break_away,
     look_ahead,
     rests_at_target,
 )
@@ -41,7 +40,7 @@ from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, Legs, Robot, dot
-from stewart_drake.mechanics.linear_algebra import copy_to, set_to, solve
+from stewart_drake.mechanics.linear_algebra import copy_to, largest_size, set_to, solve
 
 if TYPE_CHECKING:
     from stewart_drake.hardware.imu import ImuOptions
@@ -120,7 +119,7 @@ def inertial_tick(
     status, leg, margin = innovate(robot, params, reading, net_torque, legs, pose, rate, state)
     if status != OK:
         return status, leg, margin
-    break_away = largest_break_away(record(friction))
+    break_away = largest_size(record(friction).break_away[:])
     held = rests_at_target(params, break_away, legs, disturbance[0], pose, reference)
     if not _correct(params, model, disturbance[0], held, pose, rate, legs, state):
         copy_to(state.measurement[:6], pose)

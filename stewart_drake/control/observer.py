@@ -46,7 +46,7 @@ from stewart_drake.mechanics.dynamics_laws import forward_dynamics, multiply_by_
 from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics import pose_jacobian
 from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, SERIAL, UNREACHABLE, Legs, Robot, dot, legs_at
-from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, set_to, solve, spectral_factor
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, largest_size, set_to, solve, spectral_factor
 
 SMALLEST_NOISE = 1e-5  # [rad] least noise of readings in the observer: no model is more accurate.
 # A crank has arrived if its error is below the larger of two bounds:
@@ -209,19 +209,16 @@ def observer_tick(
         Status, a key of `STATUSES` or 0; the leg that it is about, or -1; and its margin.
     """
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
-    break_away = largest_break_away(record(friction))
+    break_away = largest_size(record(friction).break_away[:])
     if state.assembly_sign == 0.0:
         return begin(robot, params, record(first_params), reading, legs, record(estimate), state)
-    return _observe(robot, params, break_away, reading, net_torque, reference, disturbance[0], legs, state)
-
-
-@njit
-def largest_break_away(friction: Friction) -> float:
-    """Largest break-away torque [N m] of the motors."""
-    largest = friction.break_away[0]
-    for i in range(1, 6):
-        largest = max(largest, friction.break_away[i])
-    return largest
+    pose, rate = np.empty(6), np.empty(6)
+    status, leg, margin = innovate(robot, params, reading, net_torque, legs, pose, rate, state)
+    if status == OK:
+        status, leg, margin = _correct(params, break_away, reference, disturbance[0], pose, rate, legs, state)
+    if status != OK:
+        return status, leg, margin
+    return look_ahead(robot, params, legs, state)
 
 
 @njit
@@ -251,28 +248,6 @@ def begin(
     copy_to(state.read[:6], estimate.measurement[:6])
     copy_to(state.read[6:], state.measurement[6:])
     state.assembly_sign = estimate.assembly_sign
-    return look_ahead(robot, params, legs, state)
-
-
-@njit
-def _observe(
-    robot: Robot,
-    params: ObserverParams,
-    break_away: float,
-    reading: Vector,
-    net_torque: Vec6,
-    reference: Vec18,
-    density: float,
-    legs: Legs,
-    state: ObserverState,
-) -> TickResult:
-    """All ticks after the first: predicts, corrects, looks ahead."""
-    pose, rate = np.empty(6), np.empty(6)
-    status, leg, margin = innovate(robot, params, reading, net_torque, legs, pose, rate, state)
-    if status == OK:
-        status, leg, margin = _correct(params, break_away, reference, density, pose, rate, legs, state)
-    if status != OK:
-        return status, leg, margin
     return look_ahead(robot, params, legs, state)
 
 

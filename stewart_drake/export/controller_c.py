@@ -54,6 +54,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
     prefix, side, age = c_name(name), control_side(options, split=True), np.zeros(1)
     parts = controller_parts(options, side, age)
     inertial = "imu" in side.outside
+    size = side.context.reading + 6 * inertial
     loop = LoopSource(parts, {"time": 1, **side.outside}, {}, side.context.period, options.reading_period, {"age": age})
     command = "safe_torque" if side.safety is not None else side.command
     limit = side.context.robot.effort_limits if side.command == side.torque else np.full(6, np.inf)
@@ -67,7 +68,7 @@ def controller_files(options: ControlOptions, name: str) -> dict[str, str]:
     reads_angles, period = side.context.reading == 6, options.reading_period
     words = {"NAME": prefix, "UPPER": prefix.upper(), "SCENARIO": name, "VERSION": __version__, "REASONS": REASONS}
     words |= {"PERIOD": number(period).text, "GRID": number(on_grid(period)).text, "UNIT": side.unit}
-    words |= {"TICK": number(side.context.period).text, "READING": str(side.numbers), "READS": side.reading}
+    words |= {"TICK": number(side.context.period).text, "READING": str(size), "READS": side.reading}
     words |= {"REFERENCE": str(18 * len(side.sources)), "NUMBERS": str(loop.numbers), "GIVEN": given.rstrip()}
     later = {"reference_ahead": f" ({options.preview:g} s later)"}
     words["MOTIONS"] = ", then of ".join(f"`{of.signal}`{later.get(of.signal, '')}" for of in side.sources)

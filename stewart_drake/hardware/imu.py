@@ -18,6 +18,7 @@ from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Mat3, Record, Vec3, Vec6, Vec12, record
 from stewart_drake.base.sampling import on_grid, steps_per
 from stewart_drake.hardware.faults import tick_numbers
+from stewart_drake.hardware.motors import delay_part
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.kinematics import rotation_matrix
@@ -211,3 +212,12 @@ def imu_part(options: ImuOptions, gravity: float, step: float, period: float) ->
     parameters, inputs = {"params": params}, {"plant_pose": 12}
     part = Part("imu", _sense_with_noise, {"seed": options.noise_seed}, inputs, ("imu",), first, parameters=parameters)
     return part._replace(period=step)
+
+
+def imu_parts(options: ImuOptions, gravity: float, step: float, period: float, start: np.ndarray) -> list[Part]:
+    """`imu_part`, behind the delay of its readings; `start` (12,) is the first `plant_pose`."""
+    part, late = imu_part(options, gravity, step, period), round(options.delay / step)
+    if late == 0:
+        return [part]
+    delay = delay_part(late, start, "imu_delay")._replace(period=step).connected(value="plant_pose")
+    return [delay.named(value="imu_motion"), part.connected(plant_pose="imu_motion")]

@@ -21,7 +21,7 @@ from stewart_drake.control.feedforward import lead_part
 from stewart_drake.control.friction_compensation import FrictionCompensation, standing_torque
 from stewart_drake.control.observer import SMALLEST_NOISE
 from stewart_drake.hardware.disturbances import total_wrench
-from stewart_drake.hardware.imu import imu_part
+from stewart_drake.hardware.imu import imu_parts
 from stewart_drake.hardware.motors import delay_part
 from stewart_drake.loop.part import NOTHING, LoopContext, Part
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
@@ -62,11 +62,6 @@ class ControlSide(NamedTuple):
         """Signals that this side reads, and their sizes."""
         imu = {"imu": 6} if any("imu" in part.inputs for part in self.parts) else {}
         return {self.reading: self.context.reading, **imu, **{source.signal: source.size for source in self.sources}}
-
-    @property
-    def numbers(self) -> int:
-        """Numbers of a reading, with those of the inertial sensor."""
-        return self.context.reading + self.outside.get("imu", 0)
 
     @property
     def every_part(self) -> tuple[Part, ...]:
@@ -128,15 +123,9 @@ def _pushes(scenario: Scenario) -> tuple[Source, ...]:
 
 def sensor_parts(scenario: Scenario) -> list[Part]:
     """Parts that compute the signals `reading`, none if it is the pose of the plant, and `imu`, if there is one."""
-    imu, step = scenario.sensors.imu, scenario.plant.time_step
-    if imu is None:
-        return _reading_parts(scenario)
-    part, late = imu_part(imu, scenario.gravity, step, scenario.reading_period), round(imu.delay / step)
-    if late == 0:
-        return [*_reading_parts(scenario), part]
-    delay = delay_part(late, np.concatenate(scenario.start()), "imu_delay")._replace(period=step)
-    delay = delay.connected(value="plant_pose").named(value="imu_motion")
-    return [*_reading_parts(scenario), delay, part.connected(plant_pose="imu_motion")]
+    imu, periods = scenario.sensors.imu, (scenario.plant.time_step, scenario.reading_period)
+    inertial = [] if imu is None else imu_parts(imu, scenario.gravity, *periods, np.concatenate(scenario.start()))
+    return [*_reading_parts(scenario), *inertial]
 
 
 def _reading_parts(scenario: Scenario) -> list[Part]:
