@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from scipy.stats import chi2
 
 from stewart_drake import Controller, load_scenario
 from stewart_drake.base.errors import StewartDrakeError
-from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_rate_to_twist
+from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_rate_to_twist, reach_margin
 from stewart_drake.robot import RobotParameters
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.scenario.stepped_loop import SteppedLoop
@@ -35,6 +36,8 @@ SENSORS: dict[str, dict[str, Any] | None] = {
     "BMI088 at 50 Hz": {"preset": "bmi088", "period": 0.02},
 }
 MOUNTED = {"position": [0.02, -0.01, 0.015], "rotation": [0.3, -0.2, 1.0]}
+CORNERS = np.array(list(product((-1.0, 1.0), repeat=6)))  # of the box in which the platform moves
+FREQUENCIES = [3.0, 5.0, 4.0, 4.5, 3.5, 5.5]  # [rad/s]
 PUSHED = "none", "BMI088", "MPU-6050"
 SECONDS, SETTLED = 2.0, 1.0  # [s] of a run, and without its beginning.
 PUSH_AT, PUSH = 1.5, 0.1  # [s], and force over the platform's weight.
@@ -45,7 +48,9 @@ def scenario_of(robot: RobotParameters, bits: int, period: float, imu: dict[str,
     size, sensors = robot.characteristic_length, {"kind": "encoders", "resolution_bits": bits, "noise_seed": seed}
     place = [size * x / 0.1 for x in MOUNTED["position"]]
     mounted = None if imu is None else {**MOUNTED, "position": place, "noise_seed": seed, **imu}
-    amplitude = [0.08, 0.06, 0.08, 0.06 * size, 0.08 * size, 0.06 * size]
+    amplitude = np.array([0.08, 0.06, 0.08, 0.06 * size, 0.08 * size, 0.06 * size])
+    while reach_margin(robot, robot.home_pose + amplitude * CORNERS).min() < 0.1:
+        amplitude *= 0.8
     return Scenario.from_dict({
         "robot": robot.to_dict(),
         "plant": {"kind": "closed_form", "integrator": "rk4", "payload_mass": 0.05 * robot.platform_mass},
@@ -53,7 +58,7 @@ def scenario_of(robot: RobotParameters, bits: int, period: float, imu: dict[str,
         "estimator": "observer",
         "controller": {"kind": "lqi", "period": period},
         "tuner": "fixed",
-        "reference": {"kind": "sine", "amplitude": amplitude, "angular_frequency": [3.0, 5.0, 4.0, 4.5, 3.5, 5.5]},
+        "reference": {"kind": "sine", "amplitude": amplitude.tolist(), "angular_frequency": FREQUENCIES},
         "duration": SECONDS,
     })  # fmt: skip
 

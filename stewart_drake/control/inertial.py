@@ -69,8 +69,9 @@ class ImuModel(Record):
     bias: Vec6  # [rad^2/s^2, m^2/s^4] of a bias at the start.
     range: Vec6  # [rad/s, m/s^2] readings that are not below it are ignored.
     scale_error: float  # [-] standard deviation of the relative errors of scale.
-    lag: float  # [ticks] by which a reading's middle is older than the reading of the angles, whole ones.
-    rest: float  # [s] the rest of it.
+    lag: float  # [ticks] by which the end of a reading's period is older than the reading of the angles, whole ones.
+    ticks: float  # [ticks] of which a reading is the mean, at least 1.
+    rest: float  # [s] by which the middle of the reading's share in a tick is older than the end of that tick.
     early: float  # [ticks] for which a reading waits for that of the angles.
 
 
@@ -80,7 +81,7 @@ class InertialMemory(Record):
     bias: Vec6  # [rad/s, m/s^2] of the readings.
     before: Vec6  # [rad/s, m/s] angular velocity and velocity in B after the last correction.
     covariance: Annotated[np.ndarray, (6, 4, 4)]  # Of the chains: distance, speed, push, bias; zero at first.
-    expected: Annotated[np.ndarray, (MOST_TICKS + 1, 6)]  # Readings of `lag` ticks less `corrected`, oldest first.
+    expected: Annotated[np.ndarray, (MOST_TICKS + 1, 6)]  # By tick less `corrected`, oldest first.
     corrected: Vec6  # [rad/s, m/s^2] sum of all corrections: of rates, also by way of `pushed`; of the push.
     pushed: Vec3  # [rad/s^2] sum of all corrections of the angular push.
     waiting: Annotated[np.ndarray, (MOST_TICKS + 1, 6)]  # The last `early` + 1 readings, oldest first.
@@ -135,7 +136,7 @@ def _start(params: ObserverParams, model: ImuModel, state: InertialState) -> Non
     laws.twist_of(state.read[:6], state.read[6:], twist)
     _sensor_frame(model, turn, axes, arm)
     _move(twist, arm, 1.0, state.before[:])
-    for row in range(int(model.lag) + 1):
+    for row in range(int(model.lag + model.ticks)):
         for k in range(3):
             state.expected[row, k] = dot(axes[k], twist[:3])
             state.expected[row, 3 + k] = params.gravity * axes[k, 2]
@@ -274,19 +275,21 @@ def _correct(
     if _cranks_to_sensor(legs, state.innovation[:], axes, arm, by_crank) != state.assembly_sign:
         return False
     _expect(params, model, here, axes, state, expected, size)
-    corrections, work, lag = np.empty((6, 5)), np.empty((7, 5)), int(model.lag)
+    corrections, work, depth = np.empty((6, 5)), np.empty((7, 5)), int(model.lag + model.ticks) - 1
     for k in range(6):
         set_to(corrections[k], 0.0)
-        late = 0.0
         if k < 3:
             # What the push of now would have done since then, instead of the pushes that were predicted with.
             state.corrected[k] += params.period * state.pushed[k]
-            late = model.lag * params.period * state.pushed[k]
-        awaited = expected[k] if lag == 0 else state.expected[0, k] + state.corrected[k] - late
+        awaited = 0.0
+        for n in range(int(model.lag), depth + 1):
+            late = n * params.period * state.pushed[k] if k < 3 else 0.0
+            at = expected[k] if n == 0 else state.expected[depth - n, k] + state.corrected[k] - late
+            awaited += at / model.ticks
         read = state.waiting[0, k]
         error = read - state.bias[k] - awaited if abs(read) < model.range[k] else np.nan
         _correct_chain(params, model, density, k, by_crank, error, size[k], state.covariance[k], work, corrections[k])
-    for row in range(lag - 1):
+    for row in range(depth - 1):
         copy_to(state.expected[row], state.expected[row + 1])
     for k in range(6):
         state.bias[k] += corrections[k, BIAS]
@@ -296,7 +299,7 @@ def _correct(
             state.pushed[k] += corrections[k, PUSH]
         state.corrected[k] += corrections[k, SPEED if k < 3 else PUSH]
         expected[k] += corrections[k, SPEED if k < 3 else ACCELERATION] - state.corrected[k]
-    copy_to(state.expected[max(lag - 1, 0)], expected)
+    copy_to(state.expected[max(depth - 1, 0)], expected)
     _apply(axes, arm, corrections, here, pose, rate, legs, state)
     return True
 
@@ -331,20 +334,19 @@ def _correct_chain(
     by[DISTANCE] = 1.0
     measure_chain(whole, by, by_crank[k, 6], noise, gain, correction)
     if not np.isnan(error):
-        by[DISTANCE], by[BIAS] = 0.0, 1.0
+        by[DISTANCE], by[BIAS], by[SPEED] = 0.0, 1.0, 1.0 if k < 3 else 0.0
         variance = model.variance[k] + (model.scale_error * size) ** 2
-        if k < 3:
-            by[SPEED] = 1.0
-            if model.lag == 0.0:
-                by[ACCELERATION] = -model.rest
+        for n in range(int(model.lag), int(model.lag + model.ticks)):
+            # The mean of a tick that is n ticks old.
+            part = 1.0 / model.ticks
+            if n == 0:
+                by[ACCELERATION] = -model.rest * part if k < 3 else part
+            elif k < 3:
+                by[PUSH] -= (n * h + model.rest) * part
+                variance += white * h * h * n * part
             else:
-                by[PUSH] = -(model.lag * h + model.rest)
-                variance += white * h * h * model.lag
-        elif model.lag == 0.0:
-            by[ACCELERATION] = 1.0
-        else:
-            by[PUSH] = 1.0
-            variance += white
+                by[PUSH] += part
+                variance += white * part * part
         measure_chain(whole, by, error, variance, gain, correction)
     for i in range(4):
         for j in range(4):
@@ -390,10 +392,10 @@ def _apply(
 def imu_model(options: ImuOptions, period: float, reading_age: float) -> ImuModel:
     """For an observer's `period` [s], and angles that are `reading_age` [s] old."""
     every = options.period or period
-    late = (options.delay + 0.5 * every - reading_age) / period
-    early = max(0, math.ceil(-late - 1e-9))
+    late = (options.delay - reading_age) / period
+    early, ticks = max(0, math.ceil(-late - 1e-9)), max(1, round(every / period))
     lag = math.floor(late + early + 1e-9)
-    if max(early, lag) > MOST_TICKS:
+    if max(early, lag + ticks) > MOST_TICKS:
         allowed = f"an age within {MOST_TICKS * period:g} s of that of the angles, {MOST_TICKS} of an observer's ticks"
         raise ConfigurationError("model.imu.delay", options.delay, allowed)
     bias = np.square(options.by_channel("bias"))
@@ -407,7 +409,8 @@ def imu_model(options: ImuOptions, period: float, reading_age: float) -> ImuMode
         range=options.by_channel("range") - options.quantum,
         scale_error=options.scale_error,
         lag=lag,
-        rest=max(0.0, (late + early - lag) * period),
+        ticks=ticks,
+        rest=max(0.0, late + early - lag) * period + 0.5 * min(every, period),
         early=early,
     )
 

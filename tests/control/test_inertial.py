@@ -43,15 +43,17 @@ def test_measurements_in_turn_are_those_of_one_least_squares_problem():
 
 
 @pytest.mark.parametrize(("age", "delay", "every", "expected"), [
-    (0.0, 0.0, None, (0, 0, 0.0005)),  # the middle of the last tick
-    (0.0, 0.003, None, (3, 0, 0.0005)),
-    (0.0, 0.0, 0.004, (2, 0, 0.0)),
-    (0.002, 0.0, None, (0, 2, 0.0005)),  # readings wait for those of the encoders
-    (0.002, 0.002, None, (0, 0, 0.0005)),
+    (0.0, 0.0, None, (0, 1, 0, 0.0005)),  # the middle of the last tick
+    (0.0, 0.003, None, (3, 1, 0, 0.0005)),
+    (0.0, 0.0, 0.004, (0, 4, 0, 0.0005)),
+    (0.0, 0.0, 0.0005, (0, 1, 0, 0.00025)),
+    (0.002, 0.0, None, (0, 1, 2, 0.0005)),  # readings wait for those of the encoders
+    (0.002, 0.0025, None, (0, 1, 0, 0.001)),
 ])  # fmt: skip
 def test_ages_are_whole_ticks_and_a_rest(age, delay, every, expected):
     model = imu_model(ImuOptions(delay=delay, period=every), PERIOD, age)
-    assert (model["lag"][0], model["early"][0], pytest.approx(model["rest"][0], abs=1e-9)) == expected
+    *ticks, rest = (model[name][0] for name in ("lag", "ticks", "early", "rest"))
+    assert (*ticks, pytest.approx(rest, abs=1e-9)) == expected
 
 
 def test_a_sensor_that_is_much_too_late_is_one_line():

@@ -153,7 +153,8 @@ def test_all_engines_give_the_same_readings(kind):
     def inertial(kind):
         plant = {"kind": kind, "time_step": 0.0005}
         loaded = load_scenario("exact_fig7", ["duration=0.2"])
-        loaded = loaded.replace({"plant": plant, "sensors": {"kind": "encoders", "imu": PERFECT}})
+        sensors = {"kind": "encoders", "resolution_bits": 0, "imu": PERFECT}
+        loaded = loaded.replace({"plant": plant, "sensors": sensors})
         return run(loaded)["imu"]
 
     one, other = inertial("closed_form"), inertial(kind)
