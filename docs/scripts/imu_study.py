@@ -64,10 +64,10 @@ def scenario_of(robot: RobotParameters, bits: int, period: float, imu: dict[str,
 
 
 def velocity_error(scenario: Scenario) -> tuple[float, np.ndarray]:
-    """RMS error [m/s] of the estimated rate, rotations times the robot's length; torques against the disturbance."""
+    """RMS error [m/s] of the estimated rate, rotations times the robot's length; the estimated disturbances."""
     loop, robot, step = SteppedLoop(scenario), scenario.robot, scenario.plant.time_step
     weight = np.array([robot.characteristic_length] * 3 + [1.0] * 3)
-    every, errors, torques = round(scenario.controller.period / step), list[np.ndarray](), list[np.ndarray]()
+    every, errors, pushes = round(scenario.controller.period / step), list[np.ndarray](), list[np.ndarray]()
     loop.begin()
     for k in range(round(SECONDS / step)):
         loop.run_parts()
@@ -75,14 +75,14 @@ def velocity_error(scenario: Scenario) -> tuple[float, np.ndarray]:
             seen, true = loop.runner.signal("measurement"), loop.measured
             off = pose_rate_to_twist(seen[:6], seen[6:]) - pose_rate_to_twist(true[:6], true[6:12])
             errors.append(weight * off)
-            torques.append(loop.runner.signal("disturbance_torque").copy())
+            pushes.append(loop.runner.state("observer")["disturbance"][0].copy())
         loop.move()
     settled = np.array(errors)[round(SETTLED / scenario.controller.period) :]
-    return float(np.sqrt(np.square(settled).sum(axis=1).mean())), np.array(torques)
+    return float(np.sqrt(np.square(settled).sum(axis=1).mean())), np.array(pushes)
 
 
 def ticks_until_felt(scenario: Scenario) -> float:
-    """Ticks from a push to a torque against it that is beyond 99.99 % of what it is without one."""
+    """Ticks from a push to an estimated disturbance that is beyond 99.99 % of what it is without one."""
     weight = scenario.robot.platform_mass * scenario.gravity
     wrench = {"kind": "step", "wrench": [0.0, 0.0, 0.0, PUSH * weight, 0.0, -PUSH * weight], "time": PUSH_AT}
     calm = velocity_error(scenario)[1]
@@ -182,7 +182,7 @@ def main() -> None:
         "",
         f"Medians of {given.robots} random robots that move in all six axes with a payload of 5 % that nobody knows.",
         "The velocity error is relative to that of the same robot without the sensor. A push, a tenth of the weight",
-        "sideways and down, counts as felt when the torque against it is beyond 99.99 % of what noise makes it.",
+        "sideways and down, counts as felt when the estimated disturbance is beyond 99.99 % of its noise.",
         "",
     ]
     for bits, period in ((12, 0.01), (17, 0.001)):

@@ -9,6 +9,10 @@ with the covariance of each in the state. The noise of the angles and the unknow
 chain through the inverse Jacobian. A gyroscope measures speed + bias, an accelerometer the mean acceleration of its
 period + bias. Without inertial readings all chains have the same gains, and these are the observer's.
 
+The torque against a disturbance stays that of the observer without inertial readings, so that the loop keeps its
+margins: an acceleration that is fed back at once would depend on the model's inertia up to the highest frequency. The
+difference of the two observers is linear and small, so it is carried along instead of a second observer.
+
 A mean over the last period belongs to that time, so the acceleration since the last tick is the fifth element of a
 chain while a tick is computed. A reading that is older than that of the angles is compared with what was expected then,
 plus all corrections since.
@@ -32,6 +36,7 @@ from stewart_drake.control.observer import (
     bandwidth,
     begin,
     innovate,
+    kalman_gains,
     look_ahead,
     rests_at_target,
 )
@@ -83,6 +88,9 @@ class InertialMemory(Record):
     covariance: Annotated[np.ndarray, (6, 4, 4)]  # Of the chains: distance, speed, push, bias; zero at first.
     expected: Annotated[np.ndarray, (MOST_TICKS + 1, 6)]  # By tick less `corrected`, oldest first.
     corrected: Vec6  # [rad/s, m/s^2] sum of all corrections: of rates, also by way of `pushed`; of the push.
+    # Distance, speed and push of the chains of the observer without inertial readings, less those here.
+    plain: Annotated[np.ndarray, (6, 3)]
+    plain_push: Vec6  # [rad/s^2] of the cranks, the same difference.
     pushed: Vec3  # [rad/s^2] sum of all corrections of the angular push.
     waiting: Annotated[np.ndarray, (MOST_TICKS + 1, 6)]  # The last `early` + 1 readings, oldest first.
 
@@ -125,7 +133,7 @@ def inertial_tick(
     if not _correct(params, model, disturbance[0], held, pose, rate, legs, state):
         copy_to(state.measurement[:6], pose)
         return PARALLEL, -1, 0.0
-    return look_ahead(robot, params, legs, state)
+    return look_ahead(robot, params, legs, state.plain_push[:], state)
 
 
 @njit
@@ -289,6 +297,7 @@ def _correct(
         read = state.waiting[0, k]
         error = read - state.bias[k] - awaited if abs(read) < model.range[k] else np.nan
         _correct_chain(params, model, density, k, by_crank, error, size[k], state.covariance[k], work, corrections[k])
+    _correct_plain(params, density, held, by_crank, corrections, state)
     for row in range(depth - 1):
         copy_to(state.expected[row], state.expected[row + 1])
     for k in range(6):
@@ -354,6 +363,23 @@ def _correct_chain(
 
 
 @njit
+def _correct_plain(
+    params: ObserverParams, density: float, held: bool, by_crank: Mat6x7, corrections: Matrix, state: InertialState
+) -> None:
+    """A tick of the observer that has no inertial readings, as the difference of its chains from those with them."""
+    h, gains = params.period, np.empty(3)
+    gains[0], gains[1], gains[2] = kalman_gains(params.noise, density, h)
+    for k in range(6):
+        plain = state.plain[k]
+        plain[DISTANCE] += h * (plain[SPEED] + 0.5 * h * plain[PUSH])
+        plain[SPEED] += h * plain[PUSH]
+        error = by_crank[k, 6] - plain[DISTANCE]
+        for n in range(3):
+            if n != PUSH or not held:
+                plain[n] += gains[n] * error - corrections[k, n]
+
+
+@njit
 def _apply(
     axes: Mat3,
     arm: Vec3,
@@ -387,6 +413,13 @@ def _apply(
     laws.crank_rates(legs, changes[PUSH], change)
     for i in range(6):
         state.disturbance[i] += change[i]
+        along[i] = 0.0
+    for i in range(3):
+        for k in range(3):
+            along[i] += axes[k, i] * state.plain[k, PUSH]
+            along[3 + i] += axes[k, i] * state.plain[3 + k, PUSH]
+    _move(along, arm, -1.0, change)
+    laws.crank_rates(legs, change, state.plain_push[:])
 
 
 def imu_model(options: ImuOptions, period: float, reading_age: float) -> ImuModel:

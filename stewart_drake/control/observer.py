@@ -218,7 +218,7 @@ def observer_tick(
         status, leg, margin = _correct(params, break_away, reference, disturbance[0], pose, rate, legs, state)
     if status != OK:
         return status, leg, margin
-    return look_ahead(robot, params, legs, state)
+    return look_ahead(robot, params, legs, np.zeros(6), state)
 
 
 @njit
@@ -248,7 +248,7 @@ def begin(
     copy_to(state.read[:6], estimate.measurement[:6])
     copy_to(state.read[6:], state.measurement[6:])
     state.assembly_sign = estimate.assembly_sign
-    return look_ahead(robot, params, legs, state)
+    return look_ahead(robot, params, legs, np.zeros(6), state)
 
 
 @njit
@@ -370,8 +370,11 @@ def rests_at_target(
 
 
 @njit
-def look_ahead(robot: Robot, params: ObserverParams, legs: Legs, state: ObserverState) -> TickResult:
-    """Predicts the present and the time when the command acts; computes the disturbance torque for that time."""
+def look_ahead(robot: Robot, params: ObserverParams, legs: Legs, more: Vec6, state: ObserverState) -> TickResult:
+    """Predicts the present and the time when the command acts; computes the disturbance torque for that time.
+
+    That torque is also against `more` (6,) [rad/s^2], accelerations of the cranks.
+    """
     predicted, torque = state.predicted, np.empty((6, 1))
     copy_to(predicted[:], state.read[:])
     for row in range(int(params.ahead) + 1):
@@ -389,7 +392,7 @@ def look_ahead(robot: Robot, params: ObserverParams, legs: Legs, state: Observer
     if bad >= 0:
         return SERIAL, bad, legs.reach_margin[bad]
     for i in range(6):
-        torque[i, 0] = -state.disturbance[i]
+        torque[i, 0] = -(state.disturbance[i] + more[i])
     if not multiply_by_crank_inertia(robot, legs, torque):
         return PARALLEL, -1, 0.0
     copy_to(state.disturbance_torque[:], torque[:, 0])
