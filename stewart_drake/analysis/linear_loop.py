@@ -74,6 +74,9 @@ def linear_loops(
     changes: dict[str, object] = {"safety": None, "model.friction": None, "adaptation": None}
     if getattr(scenario.controller, "dead_band", 0.0) > 0.0:
         changes["controller.dead_band"] = 0.0
+    if scenario.estimator.imu:
+        # The inertial readings depend on the torque at once.
+        changes["estimator.imu"] = False
     scenario = scenario.replace(changes)
     sensed = _sensed(scenario.controller_model.reading_size, scenario.robot, poses)
     plants = plant_at(scenario.plant.loaded(scenario.robot), poses, scenario.gravity_in_base, period)

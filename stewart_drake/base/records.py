@@ -36,14 +36,19 @@ Vec1 = Annotated[np.ndarray, (1,)]
 Vec2 = Annotated[np.ndarray, (2,)]
 Vec3 = Annotated[np.ndarray, (3,)]
 Vec4 = Annotated[np.ndarray, (4,)]
+Vec5 = Annotated[np.ndarray, (5,)]
 Vec6 = Annotated[np.ndarray, (6,)]
 Vec9 = Annotated[np.ndarray, (9,)]
 Vec12 = Annotated[np.ndarray, (12,)]
 Vec18 = Annotated[np.ndarray, (18,)]
 Mat3 = Annotated[np.ndarray, (3, 3)]
+Mat4 = Annotated[np.ndarray, (4, 4)]
+Mat5 = Annotated[np.ndarray, (5, 5)]
 Mat6 = Annotated[np.ndarray, (6, 6)]
 Mat6x1 = Annotated[np.ndarray, (6, 1)]
 Mat6x3 = Annotated[np.ndarray, (6, 3)]
+Mat6x7 = Annotated[np.ndarray, (6, 7)]
+Mat7x5 = Annotated[np.ndarray, (7, 5)]
 Mat6x18 = Annotated[np.ndarray, (6, 18)]
 TickResult = tuple[int, int, float]
 """How a law ended: status, 0 where all is well; leg or -1; margin."""
@@ -58,7 +63,7 @@ class Record(_Base):
     """Base of records. A field is a `float`, an array such as `Vec6`, or another record.
 
     A size may be a name, `Annotated[np.ndarray, ("n",)]`; `sized(n=4)` is then the record of that size. A record may
-    extend another one; the fields of that come first.
+    extend others; their fields come first, in the order of the bases.
 
     Attributes:
         layout: dtype of the structured array.
@@ -71,7 +76,10 @@ class Record(_Base):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        cls.fields = {**getattr(cls, "fields", {}), **inspect.get_annotations(cls, eval_str=True)}
+        cls.fields = {}
+        for base in cls.__bases__:
+            cls.fields |= getattr(base, "fields", {})
+        cls.fields |= inspect.get_annotations(cls, eval_str=True)
         shapes = {name: _shape(f"{cls.__name__}.{name}", kind, cls._sizes) for name, kind in cls.fields.items()}
         # Without fields if a size is missing, see `sized`.
         items = shapes.items() if None not in shapes.values() else ()

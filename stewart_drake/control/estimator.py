@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from stewart_drake.base import errors
-from stewart_drake.base.config import Natural, Period, Positive, PositivePair, Section
+from stewart_drake.base.config import InOtherKinds, Natural, Period, Positive, PositivePair, Section
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Record, TickResult, Vec2, Vec6, Vec12, record
 from stewart_drake.loop.part import HEALTHY, LoopContext, Part
@@ -33,6 +33,8 @@ class EstimatorOptions(Section, key="estimator"):
 
     exact: ClassVar[bool] = False
     """Whether it passes the reading of a sensor of pose and rate on unchanged."""
+    imu = InOtherKinds(False)
+    """Whether it uses the inertial sensor of the model."""
     kind: str
     period: Period | None = None
     """[s] between two readings; controller.period is a whole multiple. Null for the same."""

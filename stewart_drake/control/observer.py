@@ -25,8 +25,9 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.config import Natural, Positive
+from stewart_drake.base.config import Flag, Natural, Positive
 from stewart_drake.base.errors import ConfigurationError, Status
+from stewart_drake.base.families import imported
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Record, TickResult, Vec1, Vec2, Vec6, Vec9, Vec12, Vec18, Vector, record
 from stewart_drake.control import estimator
@@ -45,7 +46,7 @@ from stewart_drake.mechanics.dynamics_laws import forward_dynamics, multiply_by_
 from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics import pose_jacobian
 from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, SERIAL, UNREACHABLE, Legs, Robot, dot, legs_at
-from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, set_to, solve, spectral_factor
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, largest_size, set_to, solve, spectral_factor
 from stewart_drake.robot.gravity import base_reading
 
 SMALLEST_NOISE = 1e-5  # [rad] least noise of readings in the observer: no model is more accurate.
@@ -87,13 +88,19 @@ class ObserverOptions(EstimatorOptions):
     """[rad] largest innovation, reading minus prediction; a reading beyond it is rejected."""
     hold_ticks: Annotated[Natural, Field(le=1000)] = 10
     """Missing readings in a row that the model may replace before the run ends."""
+    imu: Flag = True
+    """Whether it uses the inertial sensor of the model, if there is one."""
 
     @property
     def disturbance_density(self) -> float:
         return self.disturbance
 
     def parts(self, context: LoopContext) -> tuple[Part, ...]:
-        return (observer_part(self, context),)
+        part = observer_part(self, context)
+        if not self.imu or context.imu is None:
+            return (part,)
+        # Imported here: it extends this observer.
+        return (imported("control.inertial:with_imu")(part, context.imu, context.period, context.reading_age),)
 
 
 Commands = Annotated[np.ndarray, (LONGEST_DELAY + 1, 6)]
@@ -203,17 +210,20 @@ def observer_tick(
         Status, a key of `STATUSES` or 0; the leg that it is about, or -1; and its margin.
     """
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
-    friction = record(friction)
-    break_away = friction.break_away[0]
-    for i in range(1, 6):
-        break_away = max(break_away, friction.break_away[i])
+    break_away = largest_size(record(friction).break_away[:])
     if state.assembly_sign == 0.0:
-        return _begin(robot, params, record(first_params), reading, legs, record(estimate), state)
-    return _observe(robot, params, break_away, reading, net_torque, reference, disturbance[0], legs, state)
+        return begin(robot, params, record(first_params), reading, legs, record(estimate), state)
+    pose, rate = np.empty(6), np.empty(6)
+    status, leg, margin = innovate(robot, params, reading, net_torque, legs, pose, rate, state)
+    if status == OK:
+        status, leg, margin = _correct(params, break_away, reference, disturbance[0], pose, rate, legs, state)
+    if status != OK:
+        return status, leg, margin
+    return look_ahead(robot, params, legs, np.zeros(6), state)
 
 
 @njit
-def _begin(
+def begin(
     robot: Robot,
     params: ObserverParams,
     first_params: DifferenceParams,
@@ -239,22 +249,21 @@ def _begin(
     copy_to(state.read[:6], estimate.measurement[:6])
     copy_to(state.read[6:], state.measurement[6:])
     state.assembly_sign = estimate.assembly_sign
-    return _look_ahead(robot, params, legs, state)
+    return look_ahead(robot, params, legs, np.zeros(6), state)
 
 
 @njit
-def _observe(
+def innovate(
     robot: Robot,
     params: ObserverParams,
-    break_away: float,
     reading: Vector,
     net_torque: Vec6,
-    reference: Vec18,
-    density: float,
     legs: Legs,
+    pose: Vec6,
+    rate: Vec6,
     state: ObserverState,
 ) -> TickResult:
-    """All ticks after the first: brings readings and commands into the form of `_correct`, corrects, looks ahead."""
+    """Predicts `pose` and `rate` at the time of the reading, with `legs` there; sets `state.innovation`."""
     cosine, sine = np.empty(6), np.empty(6)
     for i in range(6):
         cosine[i], sine[i] = np.cos(reading[i]), np.sin(reading[i])
@@ -270,26 +279,6 @@ def _observe(
     # If a command is not finite, the safety layer has sent the last one again, and so does this.
     if all_finite(net_torque):
         copy_to(state.commands[int(params.ahead)], net_torque)
-    status, leg, margin = _correct(robot, params, break_away, cosine, sine, reference, density, state, legs)
-    if status != OK:
-        return status, leg, margin
-    return _look_ahead(robot, params, legs, state)
-
-
-@njit
-def _correct(
-    robot: Robot,
-    params: ObserverParams,
-    break_away: float,
-    cosine: Vec6,
-    sine: Vec6,
-    reference: Vec18,
-    density: float,
-    state: ObserverState,
-    legs: Legs,
-) -> TickResult:
-    """Predicts and corrects by readings, given as cosines and sines of the angles; sets `state.read`."""
-    h, pose, rate = params.period, np.empty(6), np.empty(6)
     start = state.read[:] if params.ahead == 0.0 else state.next[:]
     copy_to(pose, start[:6])
     copy_to(rate, start[6:])
@@ -301,7 +290,6 @@ def _correct(
     if bad >= 0:
         copy_to(state.measurement[:6], pose)
         return SERIAL, bad, legs.reach_margin[bad]
-    to_angle, to_rate, to_disturbance = kalman_gains(params.noise, density, h)
     worst = 0
     for i in range(6):
         # Innovation: angle from prediction to reading, within half a turn.
@@ -316,6 +304,22 @@ def _correct(
             worst = i
     if state.missed[worst] > params.hold_ticks:
         return MISSING, worst, 0.0
+    return OK, -1, 0.0
+
+
+@njit
+def _correct(
+    params: ObserverParams,
+    break_away: float,
+    reference: Vec18,
+    density: float,
+    pose: Vec6,
+    rate: Vec6,
+    legs: Legs,
+    state: ObserverState,
+) -> TickResult:
+    """Corrects the predicted pose and rate by the innovations of the angles; sets `state.read`."""
+    to_angle, to_rate, to_disturbance = kalman_gains(params.noise, density, params.period)
     # Corrections of the six angles and rates -> twists of the platform.
     lines, twists, change = legs.line.copy(), np.empty((6, 2)), np.empty(6)
     for i in range(6):
@@ -336,14 +340,14 @@ def _correct(
         rate[k] += change[k]
     copy_to(state.read[:6], pose)
     copy_to(state.read[6:], rate)
-    if not _rests_at_target(params, break_away, legs, density, pose, reference):
+    if not rests_at_target(params, break_away, legs, density, pose, reference):
         for i in range(6):
             state.disturbance[i] += to_disturbance * state.innovation[i]
     return OK, -1, 0.0
 
 
 @njit
-def _rests_at_target(
+def rests_at_target(
     params: ObserverParams, break_away: float, legs: Legs, density: float, pose: Vec6, reference: Vec18
 ) -> bool:
     """True if the motors have stiction, the reference is at rest and all cranks have arrived at its angles."""
@@ -367,8 +371,11 @@ def _rests_at_target(
 
 
 @njit
-def _look_ahead(robot: Robot, params: ObserverParams, legs: Legs, state: ObserverState) -> TickResult:
-    """Predicts the present and the time when the command acts; computes the disturbance torque for that time."""
+def look_ahead(robot: Robot, params: ObserverParams, legs: Legs, more: Vec6, state: ObserverState) -> TickResult:
+    """Predicts the present and the time when the command acts; computes the disturbance torque for that time.
+
+    That torque is also against `more` (6,) [rad/s^2], accelerations of the cranks.
+    """
     predicted, torque = state.predicted, np.empty((6, 1))
     copy_to(predicted[:], state.read[:])
     for row in range(int(params.ahead) + 1):
@@ -386,7 +393,7 @@ def _look_ahead(robot: Robot, params: ObserverParams, legs: Legs, state: Observe
     if bad >= 0:
         return SERIAL, bad, legs.reach_margin[bad]
     for i in range(6):
-        torque[i, 0] = -state.disturbance[i]
+        torque[i, 0] = -(state.disturbance[i] + more[i])
     if not multiply_by_crank_inertia(robot, legs, torque):
         return PARALLEL, -1, 0.0
     copy_to(state.disturbance_torque[:], torque[:, 0])

@@ -16,7 +16,7 @@ from stewart_drake.control.user_controller import PythonOptions
 from stewart_drake.export.loop import LoopSource
 from stewart_drake.export.program import from_template
 from stewart_drake.export.types import number
-from stewart_drake.mechanics.kinematics import inverse_kinematics
+from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_rate_to_twist, rotation_matrix
 from stewart_drake.scenario.assembly import ControlSide, control_side
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.controller import Controller, controller_parts
@@ -24,6 +24,10 @@ from stewart_drake.scenario.controller import Controller, controller_parts
 REASONS = ", ".join(f'"{reason}"' for reason in FAILURES)
 REPLAYED = 1.0  # [s] of readings in `replay.csv`, at most.
 SWING = 1e-4  # [rad, m] by which those readings are off the reference, so that there is something to control.
+_INERTIAL = """
+    for (int k = 0; k < 6; k++) {{
+        loop->imu[k] = reading[{} + k];
+    }}"""
 MOST_ROWS = 100_000  # Largest number of rows in the table of a reference.
 
 
@@ -49,8 +53,9 @@ def controller_files(options: ControlOptions, name: str, prefix: str = "") -> di
         raise ConfigurationError(options.controller.code_key, options.controller.code, allowed)
     prefix, side, age = prefix or c_name(name), control_side(options, split=True, streams=True), np.zeros(1)
     parts = controller_parts(options, side, age)
-    outside = {"time": 1, side.reading: side.context.reading, **{source.signal: source.size for source in side.sources}}
-    loop = LoopSource(parts, outside, {}, side.context.period, options.reading_period, {"age": age})
+    inertial = "imu" in side.outside
+    reading_size = side.context.reading + 6 * inertial
+    loop = LoopSource(parts, {"time": 1, **side.outside}, {}, side.context.period, options.reading_period, {"age": age})
     command = "safe_torque" if side.safety is not None else side.command
     limit = side.context.robot.effort_limits if side.command == side.torque else np.full(6, np.inf)
     for helper in ("minimum", "maximum"):
@@ -65,7 +70,7 @@ def controller_files(options: ControlOptions, name: str, prefix: str = "") -> di
     reads_angles, period = side.context.reading == 6, options.reading_period
     words = {"NAME": prefix, "UPPER": prefix.upper(), "SCENARIO": name, "VERSION": __version__, "REASONS": REASONS}
     words |= {"PERIOD": number(period).text, "GRID": number(on_grid(period)).text, "UNIT": side.unit}
-    words |= {"TICK": number(side.context.period).text, "READING": str(side.context.reading), "READS": side.reading}
+    words |= {"TICK": number(side.context.period).text, "READING": str(reading_size), "READS": side.reading}
     words |= {"REFERENCE": str(size * len(side.sources)), "NUMBERS": str(loop.numbers), "GIVEN": given.rstrip()}
     later = {"reference_ahead": f" ({options.preview:g} s later)"}
     motions = ", then of ".join(f"`{of.signal}`{later.get(of.signal, '')}" for of in side.sources)
@@ -76,12 +81,16 @@ def controller_files(options: ControlOptions, name: str, prefix: str = "") -> di
     words |= {"TAKES": str({"rad": 0, "N m": 1, "A": 2}[side.unit]), "ROWS": str(ticks)}
     words |= {"NEEDS": "READING | MEASURED" if side.context.feedback else "READING"}
     words |= _machine_words(options, reads_angles)
-    words |= {"MEANS": "angles of the cranks [rad]" if reads_angles else "pose [rad, m] and its rate"}
+    words["MEANS"] = "angles of the cranks [rad]" if reads_angles else "pose [rad, m] and its rate"
+    words |= {"BOUND": f"{prefix.upper()}_READING", "INERTIAL": ""}
+    if inertial:
+        words["MEANS"] += ", then six of the inertial sensor [rad/s, m/s^2], NaN where not new"
+        words |= {"BOUND": str(side.context.reading), "INERTIAL": _INERTIAL.format(side.context.reading)}
     words |= {"LIMIT": loop.program.table("command_limit", limit).base, "COMMAND": loop.signals[command].pointer}
     words |= {"PARTS": ", ".join(f'"{part.name}"' for part in parts), "LOOP": loop.text().rstrip()}
     words |= {"TABLE": _reference(side, period, ticks)}
     wanted = {"controller.h": f"{prefix}.h", "controller.c": f"{prefix}.c", "reference.c": f"{prefix}_reference.c"}
-    wanted |= {name: name for name in ("main.c", "Makefile", *(["board.c"] if reads_angles else []))}
+    wanted |= {name: name for name in ("main.c", "Makefile", *(["board.c"] if reads_angles and not inertial else []))}
     files = {file: from_template(template, words) for template, file in wanted.items()}
     return {**files, "replay.csv": _replay(options, side)}
 
@@ -126,6 +135,10 @@ def readings_along(options: ControlOptions, side: ControlSide, ticks: int) -> np
     rows = motion
     if side.context.reading == 6:
         rows = np.unwrap(inverse_kinematics(side.context.robot, motion[:, :6]), axis=0)
+    if (imu := side.context.imu) is not None and "imu" in side.outside:
+        axes = rotation_matrix(motion[:, :3]) @ imu.mounting
+        turning = pose_rate_to_twist(motion[:, :6], motion[:, 6:])[:, None, :3] @ axes
+        rows = np.concatenate([rows, turning[:, 0], side.context.gravity * axes[:, 2]], axis=1)
     swing: np.ndarray = rows + SWING * np.sin(7.0 * times[:, None] + np.arange(rows.shape[1]))
     return swing
 
@@ -139,7 +152,8 @@ def _replay(options: ControlOptions, side: ControlSide) -> str:
     rows = []
     for k, reading in enumerate(readings_along(options, side, ticks)):
         try:
-            controller.step(reading, k * on_grid(options.reading_period), out)
+            read, imu = np.split(reading, [controller.reading])
+            controller.step(read, k * on_grid(options.reading_period), out, imu=imu if imu.size else None)
         except RunFailure:
             break
         wanted = [controller.signal(name) for name in names]

@@ -14,6 +14,7 @@ from stewart_drake.base.config import InOtherKinds, Natural, NotNegative, Sectio
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Record, Vec6, Vec12, record
 from stewart_drake.hardware.faults import EncoderFault, Fault, PoseFault, Signal, tick_numbers
+from stewart_drake.hardware.imu import ImuOptions
 from stewart_drake.loop.part import Part
 from stewart_drake.loop.user_parts import UserParts
 from stewart_drake.robot.leg import LARGEST_SIZE
@@ -26,6 +27,8 @@ class SensorOptions(Section, key="sensors"):
 
     reading: ClassVar[Any] = InOtherKinds("pose")
     """What a reading is: the six angles of the cranks [rad], or pose [rad, m] and its rate."""
+    imu = InOtherKinds(None)
+    """The inertial sensor on the platform; None for none."""
     kind: str
     """Kind of sensor."""
     delay: Annotated[NotNegative, Field(le=1.0)] = 0.0
@@ -88,6 +91,8 @@ class EncoderOptions(SensorOptions):
     """Seed of the noise."""
     faults: tuple[EncoderFault, ...] = ()
     """Faults of the encoders, applied in order."""
+    imu: ImuOptions | None = None
+    """The inertial sensor on the platform; null for none."""
 
     @cached_property
     def quantum(self) -> float:

@@ -400,6 +400,12 @@ def find_warnings(status: Status, rows: RunRows, trip: Document | None) -> tuple
         if share > MUCH_SATURATION:
             when = rows.time[int(rows.at_limit.any(axis=1).argmax())]
             events.append(("saturation", when, share, f"{share:.1%} of the torques are at their limit"))
+        imu, sensor = rows.signals.get("imu"), rows.scenario.controller_model.imu
+        if imu is not None and sensor is not None:
+            beyond = (np.abs(imu) >= sensor.by_channel("range") - sensor.quantum).any(axis=1)
+            if beyond.any():
+                text = f"{beyond.mean():.1%} of the inertial readings are at the end of the sensor's range"
+                events.append(("imu_saturated", rows.time[int(beyond.argmax())], float(beyond.mean()), text))
         gap, rmse = rows.largest["loop_gap"], rows.second_half_rms_norms[1] if rows.second_half_ticks else math.nan
         if gap > LARGE_GAP * rmse:
             ratio = float(gap / rmse) if rmse > 0.0 else math.inf

@@ -53,6 +53,7 @@ _PLACE = (*"xyz", *(f"{axis}_half_width" for axis in "xyz"))
 _BASE = (*(f"{name}_{axis}" for name in ("force", "rate", "acceleration") for axis in "xyz"), "roll", "pitch", "yaw")
 _BASE_UNITS = ("m/s^2",) * 3 + ("rad/s",) * 3 + ("rad/s^2",) * 3 + ("rad",) * 3
 _WRENCH = ("mx", "my", "mz", "fx", "fy", "fz")
+_IMU = tuple(f"{what}_{axis}" for what in ("rate", "force") for axis in "xyz")
 _JOINTS = ("viscous", "dry", "viscous_half_width", "dry_half_width")
 SIGNALS: Mapping[str, Signal] = {
     "time": Signal((), ("s",), "simulated time"),
@@ -69,6 +70,9 @@ SIGNALS: Mapping[str, Signal] = {
     "torque_applied": _legs("N m", "torque at the motors, delayed and within their limit", title="applied"),
     "crank_angle": _legs("rad", "true angle of a simulated crank, from the horizontal", "measured", ANGLES),
     "reading": _legs("rad", "angle of a crank as read by the controller; NaN without a reading"),
+    "imu": Signal(
+        _IMU, ("rad/s",) * 3 + ("m/s^2",) * 3, "rates and specific force of the inertial sensor; NaN if not new"
+    ),
     "weights": _numbers(("omega_q", "omega_r"), "weights in use"),
     "block_weights": _numbers(
         ("q_pose", "q_rate", "q_integral", "r"), "block weights in use, in place of `weights`", "weights"

@@ -58,6 +58,7 @@ class Reading(NamedTuple):
         holding: Whether the machine follows no command: it has got none yet, or the last is too old.
         pose: (6,) [rad, m] of the platform, if the machine measures it; for comparison only, no law uses it.
         arrived: (6,) the newest acknowledged command; None if the machine acknowledges none.
+        imu: (6,) rates [rad/s] and specific force [m/s^2] of its inertial sensor; None or NaN where none is new.
     """
 
     angles: np.ndarray
@@ -68,6 +69,7 @@ class Reading(NamedTuple):
     holding: bool = False
     pose: np.ndarray | None = None
     arrived: np.ndarray | None = None
+    imu: np.ndarray | None = None
 
 
 class Machine(Protocol):

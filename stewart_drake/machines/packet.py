@@ -11,7 +11,7 @@ from zlib import crc32
 
 import numpy as np
 
-MAGIC, VERSION = b"SD", 1
+MAGIC, VERSION, INERTIAL_VERSION = b"SD", 1, 2
 READING, ACTIVE, MEASURED = 1, 2, 16
 """Bits of `flags`. READING: from the machine; clear in a command. ACTIVE: in a command, follow these values, clear to
 hold and to be sent readings; in a reading, commands are followed, clear while it holds. MEASURED: in a reading, the
@@ -22,9 +22,11 @@ TAKES = ("angle", "torque", "current", "pose")
 HOLD_AFTER = 0.1  # [s] Longest time without an active command until a machine holds.
 QUIET_AFTER = 1.0
 """[s] without any command until a machine sends no more readings, and accepts a new peer."""
-_BODY, _CHECK = struct.Struct("<2sBBIIQ6f"), struct.Struct("<I")
-SIZE = _BODY.size + _CHECK.size
-LONGEST_FRAME = SIZE + 2  # [byte] A packet on a serial line.
+_BODIES = {VERSION: struct.Struct("<2sBBIIQ6f"), INERTIAL_VERSION: struct.Struct("<2sBBIIQ12f")}
+_CHECK = struct.Struct("<I")
+SIZE, LONGEST = (body.size + _CHECK.size for body in _BODIES.values())
+"""[byte] of a packet, and of one with inertial readings."""
+LONGEST_FRAME = LONGEST + 2  # [byte] A packet on a serial line.
 
 
 class Packet(NamedTuple):
@@ -36,6 +38,8 @@ class Packet(NamedTuple):
         answers: Newest `number` that has arrived from the other side; 0 for none.
         microseconds: [us] by the sender's clock; never decreases.
         values: (6,) angles [rad] of a reading, or commands; finite, sent as float32.
+        imu: (6,) rates [rad/s] and specific force [m/s^2] of an inertial sensor, NaN where they are not new; None for a
+            packet of version 1, which has none.
     """
 
     flags: int
@@ -43,6 +47,7 @@ class Packet(NamedTuple):
     answers: int
     microseconds: int
     values: np.ndarray
+    imu: np.ndarray | None = None
 
     @property
     def takes(self) -> str:
@@ -63,21 +68,26 @@ def rounded_inside(limits: np.ndarray) -> np.ndarray:
 
 
 def encode(packet: Packet) -> bytes:
-    """The bytes (SIZE,) of a packet; numbers are cut to their fields."""
+    """The bytes of a packet, of version 2 if it has inertial readings; numbers are cut to their fields."""
     numbers = packet.number & 0xFFFFFFFF, packet.answers & 0xFFFFFFFF, packet.microseconds & (1 << 64) - 1
-    body = _BODY.pack(MAGIC, VERSION, packet.flags, *numbers, *np.asarray(packet.values, dtype=np.float32).tolist())
+    version = VERSION if packet.imu is None else INERTIAL_VERSION
+    values = np.append(packet.values, [] if packet.imu is None else packet.imu).astype(np.float32)
+    body = _BODIES[version].pack(MAGIC, version, packet.flags, *numbers, *values.tolist())
     return body + _CHECK.pack(crc32(body))
 
 
 def decode(data: bytes) -> Packet | None:
-    """The packet in some bytes; None if they are no packet, or a value is not finite."""
-    if len(data) != SIZE or crc32(data[: _BODY.size]) != _CHECK.unpack_from(data, _BODY.size)[0]:
+    """The packet in some bytes; None if they are no packet, or an angle or command is not finite."""
+    body = _BODIES.get(data[2]) if len(data) > 2 else None
+    if body is None or len(data) != body.size + _CHECK.size:
         return None
-    magic, version, flags, number, answers, microseconds, *values = _BODY.unpack_from(data)
-    if magic != MAGIC or version != VERSION or flags & 0xE0:
+    magic, _, flags, number, answers, microseconds, *values = body.unpack_from(data)
+    if crc32(data[: body.size]) != _CHECK.unpack_from(data, body.size)[0]:
         return None
-    numbers = np.array(values)
-    return Packet(flags, number, answers, microseconds, numbers) if np.isfinite(numbers).all() else None
+    if magic != MAGIC or flags & 0xE0:
+        return None
+    numbers, imu = np.array(values[:6]), np.array(values[6:]) if len(values) > 6 else None
+    return Packet(flags, number, answers, microseconds, numbers, imu) if np.isfinite(numbers).all() else None
 
 
 def newer(number: int, last: int) -> bool:

@@ -49,7 +49,7 @@ class PacketMachine(ABC, Generic[_Line]):
     paced = True
     after = "its own side keeps the angles, or brakes"
     _read_at = _silent_since = _arrived_at = _acknowledged_at = 0.0
-    _sent = np.zeros(HISTORY)
+    _sent, _given = np.zeros(HISTORY), 0
 
     def __init__(self, scenario: Scenario, name: str) -> None:
         self._scenario, self.name = scenario, name
@@ -119,6 +119,8 @@ class PacketMachine(ABC, Generic[_Line]):
         if silent > machine.LOST_AFTER:
             raise MachineError(self.name, f"has sent no reading for {silent:.1f} s")
         held, ages = not last.flags & wire.ACTIVE, (now - self._arrived_at, now - self._acknowledged_at)
+        imu = last.imu if self._total > self._given else None
+        self._given = self._total
         return Reading(
             last.values.copy(),
             last.microseconds * 1e-6,
@@ -127,6 +129,7 @@ class PacketMachine(ABC, Generic[_Line]):
             ages[1],
             held,
             arrived=self._acknowledged,
+            imu=imu,
         )
 
     def command(self, values: np.ndarray) -> None:
@@ -155,6 +158,7 @@ class PacketMachine(ABC, Generic[_Line]):
         self._values: list[np.ndarray | None] = [None] * HISTORY  # None where a packet was no command.
         self._acknowledged: np.ndarray | None = None
         self._total: int = 0
+        self._given = 0  # `_total` at the last `read`.
         self._read_at = self._silent_since = self._arrived_at = self._acknowledged_at = now
 
     def _connected(self) -> wire.Packet:

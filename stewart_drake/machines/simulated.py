@@ -98,6 +98,7 @@ class SimulatedRobot:
 
     Attributes:
         command: (6,) of the motors, from the next step of the plant on.
+        imu: (6,) reading of the inertial sensor, NaN where it is not new; None without one.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -108,6 +109,7 @@ class SimulatedRobot:
         self.steps, self.command = steps_per("period", self.period, self.step), loop.runner.signal("command")
         reads_angles = scenario.sensors.reading == "angles"
         self._angles = loop.runner.signal("reading") if reads_angles else loop.measured[ANGLES]
+        self.imu = loop.runner.signal("imu") if scenario.sensors.imu is not None else None
         self._home, self._takes_angles = np.array(scenario.controller_model.home), scenario.motors.holds
         self._gains = scenario.controller_model.robot.servo_gains
         loop.begin()
@@ -160,9 +162,15 @@ class RobotSide:
     def take(self, data: bytes, peer: Address, now: float) -> bool:
         """Handles a packet of a peer; True if it is a command to follow."""
         packet, quiet = wire.decode(data), now - self._heard > wire.QUIET_AFTER
+        packet = None if packet is None or packet.imu is not None else packet
         active = packet is not None and bool(packet.flags & wire.ACTIVE)
         reason = "accepted"
-        if packet is None or packet.flags & wire.READING or (active and packet.takes != self.takes):
+        if (
+            packet is None
+            or packet.imu is not None
+            or packet.flags & wire.READING
+            or (active and packet.takes != self.takes)
+        ):
             reason = "garbage"
         elif not quiet and peer != self.peer:
             reason = "foreign"
@@ -178,13 +186,16 @@ class RobotSide:
         self.counts[reason] += 1
         return active and reason == "accepted"
 
-    def reading(self, angles: np.ndarray, time: float, now: float) -> bytes:
-        """Packet of a reading (6,) [rad] at a time [s] of the robot's clock; empty if no peer sends requests."""
+    def reading(self, angles: np.ndarray, time: float, now: float, imu: np.ndarray | None = None) -> bytes:
+        """Packet of a reading (6,) [rad] at a time [s] of the robot's clock; empty if no peer sends requests.
+
+        `imu` (6,) are inertial readings, None for a robot without.
+        """
         if now - self._heard > wire.QUIET_AFTER:
             return b""
         self._number, self._sent = self._number + 1, now
         flags = wire.flags_of(self.takes, wire.READING, wire.MEASURED, 0 if self.holds(now) else wire.ACTIVE)
-        return wire.encode(wire.Packet(flags, self._number, self._heard_number, round(time * 1e6), angles))
+        return wire.encode(wire.Packet(flags, self._number, self._heard_number, round(time * 1e6), angles, imu))
 
 
 def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
@@ -199,7 +210,7 @@ def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
         while True:
             # A step is simulated once it is over, with the commands that arrived in it.
             due = pace.due
-            if packet := side.reading(robot.reading(), robot.now * robot.step, time.monotonic()):
+            if packet := side.reading(robot.reading(), robot.now * robot.step, time.monotonic(), robot.imu):
                 assert side.peer is not None
                 with suppress(OSError):
                     line.sendto(packet, side.peer)
@@ -210,7 +221,7 @@ def serve(scenario: Scenario, line: socket.socket, side: RobotSide) -> None:
                     break
                 read += 1
                 with suppress(OSError):
-                    data, peer = line.recvfrom(wire.SIZE + 1)
+                    data, peer = line.recvfrom(wire.LONGEST + 1)
                     if side.take(data, peer, now := time.monotonic()) and side.values is not None:
                         arrived.append((now, side.values))
             for k in range(robot.steps):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from contextlib import suppress
 
-from stewart_drake.machines.packet import SIZE
+from stewart_drake.machines.packet import LONGEST
 from stewart_drake.machines.packet_machine import PacketMachine
 from stewart_drake.scenario.scenario import Scenario
 
@@ -36,6 +36,6 @@ class UdpMachine(PacketMachine[socket.socket]):
         with suppress(TimeoutError, BlockingIOError):
             while len(data) < MAX_DATAGRAMS:
                 # One byte more than a packet, so that a longer datagram is not taken for one.
-                data.append(line.recv(SIZE + 1))
+                data.append(line.recv(LONGEST + 1))
                 line.settimeout(0.0)
         return data

@@ -20,7 +20,7 @@ from stewart_drake.machines.machine import MachineError, Reading, Takes
 from stewart_drake.scenario.scenario import Scenario
 
 METHODS = ("connect", "read", "command", "disconnect")
-_OPTIONAL = ("pose", "arrived")  # Optional arrays (6,) of a reading.
+_OPTIONAL = ("pose", "arrived", "imu")  # Optional arrays (6,) of a reading.
 _T = TypeVar("_T")
 _Calls = queue.SimpleQueue[tuple[Future[Any], Callable[..., Any], tuple[object, ...]]]
 
@@ -134,7 +134,9 @@ class UserMachine:
         if min(reading.age, reading.command_age) < 0.0:
             raise MachineError(self.name, f"read gave an age of {min(reading.age, reading.command_age):g} s")
         for name, each in more.items():
-            if each is not None and (each.shape != (6,) or not np.isfinite(each).all()):
+            # An inertial reading that is not new is NaN.
+            bad = np.isinf if name == "imu" else lambda values: ~np.isfinite(values)
+            if each is not None and (each.shape != (6,) or bad(each).any()):
                 raise MachineError(self.name, f"read gave {name} {each}, no six finite numbers")
         return reading
 

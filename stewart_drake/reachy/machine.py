@@ -35,6 +35,7 @@ class ReachyMachine:
     reads = True
     paced = True
     after = "the daemon keeps its motors on, and holds"
+    _imu: np.ndarray | None = None  # Inertial reading since the last `read`.
 
     def __init__(self, scenario: Scenario, host: str, port: int) -> None:
         machine.check_takes(scenario, self.takes, "reachy")
@@ -81,7 +82,8 @@ class ReachyMachine:
             sent = f"; it sent {self._strange}" if self._strange else ""
             raise MachineError(self.name, f"the daemon has sent no angles for {age:.1f} s{sent}")
         pose = self._pose.copy() if self._pose_number == self._number else None
-        return Reading(self._joints[1:].copy(), self._arrived, age, self._number, 0.0, self._off, pose)
+        imu, self._imu = self._imu, None
+        return Reading(self._joints[1:].copy(), self._arrived, age, self._number, 0.0, self._off, pose, imu=imu)
 
     def command(self, values: np.ndarray) -> None:
         """Sends the yaw of the body and six angles (6,) [rad]; with six alone the daemon would stop."""
@@ -98,6 +100,7 @@ class ReachyMachine:
         self._socket = None
         self._number, self._pose_number, self._arrived, self._off = -1, -1, 0.0, False
         self._joints, self._yaw, self._pose, self._strange = np.zeros(7), 0.0, np.zeros(6), ""
+        self._imu = None
 
     def _opened(self) -> Any:
         if self._socket is None:
@@ -128,6 +131,9 @@ class ReachyMachine:
         elif kind == "head_pose":
             matrix = _numbers(message["head_pose"], 16).reshape(4, 4)
             self._pose, self._pose_number = pose_of_head(matrix, float(self._joints[0])), self._number
+        elif kind == "imu_data":
+            # The wireless version: rad/s and m/s^2, in axes and at a place that `model.imu` has.
+            self._imu = np.concatenate([_numbers(message[name], 3) for name in ("gyroscope", "accelerometer")])
         elif kind == "daemon_status":
             self._off = (message.get("backend_status") or {}).get("motor_control_mode") != "enabled"
 

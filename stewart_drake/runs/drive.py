@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -88,7 +89,11 @@ def connected(
         allowed = f"about {machine.period:.4g} s, that of the machine, which sets the pace"
         raise ConfigurationError("controller.period", period, allowed)
     motion = PacedMotion(reference, reference.evaluate(0.0)[0], RAMP)
-    start = plan_start(scenario, machine, motion, machine.read().angles, seconds)
+    first = machine.read()
+    if first.imu is not None and scenario.controller_model.imu is None:
+        line = "the machine has an inertial sensor; without the key model.imu, its place and axes, it is not used"
+        logging.getLogger("stewart_drake").warning(f"stewart-drake: {line}")
+    start = plan_start(scenario, machine, motion, first.angles, seconds)
     report = check_reference(model.robot, scenario.limits, motion, start.duration, scenario.gravity_in_base)
     report.raise_if_infeasible()
     if isinstance(reference, StreamReference) and (live := reference.live(targets)) is not None:
@@ -353,7 +358,7 @@ class Drive:
         arrival = time.monotonic()
         self._check(reading)
         self._step_missed(tick)
-        self._controller.step(reading.angles, now, self._command, age)
+        self._controller.step(reading.angles, now, self._command, age, reading.imu)
         self._limit_command(reading, now)
         self._machine.command(self._command)
         late += time.monotonic() - arrival

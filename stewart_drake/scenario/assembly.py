@@ -20,6 +20,7 @@ from stewart_drake.control.feedforward import lead_part
 from stewart_drake.control.friction_compensation import FrictionCompensation, standing_torque
 from stewart_drake.control.observer import SMALLEST_NOISE
 from stewart_drake.hardware.disturbances import total_wrench
+from stewart_drake.hardware.imu import imu_parts
 from stewart_drake.hardware.motors import delay_part
 from stewart_drake.hardware.moving_base import base_signal
 from stewart_drake.loop.part import NOTHING, LoopContext, Part
@@ -61,6 +62,12 @@ class ControlSide(NamedTuple):
     logged: Mapping[str, str | np.ndarray]  # Signals by their names in a log; an array stays as it is.
 
     @property
+    def outside(self) -> dict[str, int]:
+        """Signals that this side reads, and their sizes."""
+        imu = {"imu": 6} if any("imu" in part.inputs for part in self.parts) else {}
+        return {self.reading: self.context.reading, **imu, **{source.signal: source.size for source in self.sources}}
+
+    @property
     def every_part(self) -> tuple[Part, ...]:
         """All but the safety layer."""
         return (*self.parts, *self.at_end)
@@ -92,6 +99,8 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
     logged |= {names[source.signal]: source.signal for source in outside if source.signal in names}
     way = command_path(scenario, side.command, side.initial_command, side.context.period, side.safety)
     logged["torque_applied"] = "motor_torque"
+    if scenario.sensors.imu is not None:
+        logged["imu"] = "imu"
     if side.safety is not None:
         logged["safety"] = "safety"
     of_base = scenario.base.sensor_parts(scenario.gravity_in_base, side.context.period, scenario.plant.time_step)
@@ -108,6 +117,8 @@ def machine_side(scenario: Scenario) -> Loop:
     first = scenario.controller_model.motors.initial_command(context_of(scenario, split=True))
     way = [part._replace(end_of_tick=True) for part in command_path(scenario, "command", first, step)]
     reading = {"reading": "reading" if sensors else "plant_pose"}
+    if scenario.sensors.imu is not None:
+        reading["imu"] = "imu"
     return Loop((*sensors, *way), _outside(scenario), "motor_torque", reading, {"command": first})
 
 
@@ -124,7 +135,15 @@ def _outside(scenario: Scenario) -> tuple[Source, ...]:
 
 
 def sensor_parts(scenario: Scenario) -> list[Part]:
-    """Parts that compute the signal `reading`; none if it is the pose of the plant."""
+    """Parts that compute the signals `reading`, none if it is the pose of the plant, and `imu`, if there is one."""
+    imu, periods = scenario.sensors.imu, (scenario.plant.time_step, scenario.reading_period)
+    inertial = (
+        [] if imu is None else imu_parts(imu, scenario.gravity_in_base, *periods, np.concatenate(scenario.start()))
+    )
+    return [*_reading_parts(scenario), *inertial]
+
+
+def _reading_parts(scenario: Scenario) -> list[Part]:
     period, step = scenario.reading_period, scenario.plant.time_step
     parts = [part._replace(period=period) for part in scenario.sensors.parts(period)]
     gain = servo_gain_error(scenario)
@@ -245,6 +264,7 @@ def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
         disturbance=expected,
         feedback=options.controller.feedback,
         split=split,
+        imu=model.imu,
     )
 
 
@@ -274,6 +294,8 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
     ]
     measurement = "measurement" if estimator else reading
     logged["measurement"] = measurement
+    if any("imu" in part.inputs for part in estimator):
+        logged["imu"] = "imu"
     observed = any("predicted" in part.outputs for part in estimator)
     if observed:
         logged["innovation"] = "innovation"

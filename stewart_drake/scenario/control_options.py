@@ -32,6 +32,7 @@ from stewart_drake.control.estimator import DifferenceOptions, EstimatorOptions
 from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.control.tuners import PaperTuner, Tuner
+from stewart_drake.hardware.imu import ImuOptions
 from stewart_drake.hardware.motors import MotorOptions, TorqueMotors
 from stewart_drake.hardware.wiring import ServoOptions
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
@@ -68,6 +69,8 @@ class ModelOptions(Section, key="model"):
     reading_age: Annotated[NotNegative, Field(le=1.0)] | None = None
     """[s] age of a reading when the controller gets it; null for `sensors.delay`. An observer predicts over it, in
     whole ticks; default gains, tuners and adaptation count it as latency."""
+    imu: ImuOptions | None = None
+    """The inertial sensor on the platform; null for that of `sensors`. An observer uses it."""
     motors: Annotated[MotorOptions, MOTORS] | None = None
     """The motors; null for the simulated ones without their faults."""
     home: Vector6 | None = None
@@ -90,6 +93,7 @@ class Model(NamedTuple):
     reading_age: float = 0.0  # [s].
     home: tuple[float, ...] = (0.0,) * 6  # [rad] of the cranks where a machine reads zero.
     servos: ServoOptions | None = None
+    imu: ImuOptions | None = None
 
     @property
     def reading_size(self) -> int:

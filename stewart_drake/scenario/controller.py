@@ -51,8 +51,7 @@ class Controller:
         self._age, self._options = np.zeros(1), options
         parts, self._safe = controller_parts(options, side, self._age), side.safety is not None
         self.period, self._tick, self.reading = options.reading_period, side.context.period, side.context.reading
-        outside = {side.reading: self.reading, **{source.signal: source.size for source in side.sources}}
-        self._running = LoopRunner(parts, outside, period=side.context.period, step=self.period)
+        self._running = LoopRunner(parts, side.outside, period=side.context.period, step=self.period)
         evaluated: dict[str, Callable[[float], np.ndarray]] = {
             source.signal: InBlocks(source.evaluate, self.period).at_time for source in side.sources
         }
@@ -64,13 +63,16 @@ class Controller:
         if self._safe:
             self.logged["safety"] = "safety"
         self._reading = self._running.signal(side.reading)
+        self._imu = self._running.signal("imu") if "imu" in side.outside else None
         self._command, self.unit = self._running.signal("safe_torque" if self._safe else side.command), side.unit
         # Commands that are no torques have their limit in the motor.
         self._limits = side.context.robot.effort_limits if side.command == side.torque else np.inf
         self._stillness = None if self._safe else Stillness(side.context.robot, self.period)
         self._last, self._ticks = -np.inf, 0
 
-    def step(self, readings: np.ndarray, time: float, out: np.ndarray, age: float = 0.0) -> None:
+    def step(
+        self, readings: np.ndarray, time: float, out: np.ndarray, age: float = 0.0, imu: np.ndarray | None = None
+    ) -> None:
         """One tick.
 
         Args:
@@ -79,6 +81,8 @@ class Controller:
             time: [s] of the motion, later than at the step before; fastest at multiples of the period.
             out: (6,) out, commands for the motors in `unit`: float64; torques are within the robot's effort limits.
             age: [s] of the readings beyond that of the scenario; the safety layer's `deadline` refers to it.
+            imu: (6,) rates [rad/s] and specific force [m/s^2] in the axes of `model.imu`; None, or NaN, where there is
+                no new reading. A controller whose estimator does not use it ignores it.
 
         Raises:
             ConfigurationError: An argument of another shape, type or range; nothing has changed then.
@@ -97,6 +101,12 @@ class Controller:
             raise ConfigurationError("time", time, f"a finite time later than that of the step before, {self._last} s")
         if not (late := _number(age)) >= 0.0:
             raise ConfigurationError("age", age, "a number that is not negative [s]")
+        inertial = None if imu is None else np.asarray(imu)
+        if inertial is not None and (inertial.shape != (6,) or inertial.dtype.kind not in "fiu"):
+            allowed = "None, or an array of shape (6,) of real numbers"
+            raise ConfigurationError("imu", f"{inertial.shape} of {inertial.dtype}", allowed)
+        if self._imu is not None:
+            self._imu[:] = np.nan if inertial is None else inertial
         self._reading[:] = given
         self._age[0] = late / self._tick
         self._running.time[0] = self._last = now

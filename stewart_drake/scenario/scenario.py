@@ -122,7 +122,8 @@ class Scenario(ControlOptions):
         """The simulated machine without faults, friction and payload."""
         readings, motors = self.sensors, self.motors.nominal
         read = readings.reading, readings.reading_noise
-        return Model(self.robot, self.gravity_in_base, None, *read, self.command_delay, motors, readings.delay)
+        model = Model(self.robot, self.gravity_in_base, None, *read, self.command_delay, motors, readings.delay)
+        return model._replace(imu=readings.imu)
 
     @property
     def asked(self) -> Reference:
@@ -169,6 +170,8 @@ class Scenario(ControlOptions):
             raise ConfigurationError(
                 "model.reading", self.controller_model.reading, f"{self.sensors.reading}, as sensors read"
             )
+        if self.model.imu is not None and self.sensors.imu is None:
+            raise ConfigurationError("model.imu", "a sensor", "null, because sensors.imu is null")
         model_motors, motors = self.controller_model.motors, self.motors
         # The command of a user's motors is not checked.
         if motors.code is None and model_motors.command_quantity != motors.command_quantity:
@@ -180,6 +183,12 @@ class Scenario(ControlOptions):
             raise ConfigurationError("base_compensation", self.base_compensation, "none, without base.sensor")
         steps_per("controller.period", self.controller.period, self.plant.time_step)
         steps_per("estimator.period", self.reading_period, self.plant.time_step)
+        if self.sensors.imu is not None and self.base.motion is not None:
+            raise ConfigurationError(
+                "sensors.imu", self.sensors.imu.to_dict(), "null, with base.motion, which it would read too"
+            )
+        if self.sensors.imu is not None and self.sensors.imu.period is not None:
+            steps_per("sensors.imu.period", self.sensors.imu.period, self.plant.time_step)
         largest = MAX_STEPS * self.plant.time_step
         if self.duration > largest * (1.0 + 1e-9):
             raise ConfigurationError(
@@ -231,7 +240,9 @@ def load_driven(path: str | Path, overrides: Iterable[str] = (), trust_code: boo
         return load_scenario(file, overrides, trust_code)
     control = load_controller(file, overrides, trust_code)
     robot, motors = to_plain(control.controller_model.robot), to_plain(control.controller_model.motors)
-    sensors = "encoders" if control.controller_model.reading == "angles" else "ideal"
+    sensors: Document = {"kind": "encoders" if control.controller_model.reading == "angles" else "ideal"}
+    if control.controller_model.imu is not None:
+        sensors["imu"] = to_plain(control.controller_model.imu)
     trusted = all(part.code.trusted for part in user_parts(control))
     data = {**control.to_dict(), "robot": robot, "motors": motors, "sensors": sensors}
     return Scenario.from_dict(data, trust_code=trusted)

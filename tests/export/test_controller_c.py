@@ -99,6 +99,25 @@ def test_commands_of_ten_seconds(name, tmp_path):
     )
 
 
+@pytest.mark.parametrize("imu", [{"rotation": [0.1, 0.2, 0.3]}, {"delay": 0.004, "period": 0.002}], ids=["new", "late"])
+def test_it_takes_inertial_readings_as_further_numbers_of_a_reading(imu, tmp_path):
+    sensors = {"sensors": {"kind": "encoders", "imu": imu}, "estimator": "observer"}
+    scenario = load_scenario("exact_fig7").replace({"plant": "closed_form", **sensors})
+    export_controller(scenario, "inertial", tmp_path)
+    loop, controller, in_c = SteppedLoop(scenario), Controller(scenario), InC(tmp_path, "inertial")
+    mine, out = np.empty((2, 6))
+    assert "_READING 12 " in (tmp_path / "inertial.h").read_text()
+    loop.begin()
+    for k in range(300):
+        loop.run_parts()
+        if k % round(scenario.reading_period / scenario.plant.time_step) == 0:
+            reading, imu, wanted = (loop.runner.signal(name) for name in ("reading", "imu", "reference"))
+            controller.step(reading, loop.time, out, imu=imu)
+            assert in_c.step(np.concatenate([reading, imu]), wanted, mine, 0.0) == 0
+            np.testing.assert_allclose(mine, out, rtol=0.0, atol=SAME * np.abs(out).max())
+        loop.move()
+
+
 def test_what_learns_is_refused_by_its_key(tmp_path):
     with pytest.raises(ConfigurationError, match=r"adaptation\.kind: expected null: .*--keep-model"):
         export_controller(load_scenario("reachy_slow_bus"), "slow", tmp_path)

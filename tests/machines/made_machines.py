@@ -40,7 +40,7 @@ class Robot(threading.Thread):
         self.side = RobotSide(takes or scenario.motors.command_quantity, command_limits(scenario))
         self.period, self.mischief, self.followed = period, lambda data: [data], []
         self.ended = threading.Event()
-        self.angles = np.zeros(6)
+        self.angles, self.imu = np.zeros(6), None
 
     def run(self):
         begun, tick = time.monotonic(), 0
@@ -52,7 +52,7 @@ class Robot(threading.Thread):
                         self.angles = self.side.values
                         self.followed.append(self.angles)
             now = time.monotonic()
-            packet = self.side.reading(self.angles, now - begun, now)
+            packet = self.side.reading(self.angles, now - begun, now, self.imu)
             for data in self.mischief(packet) if packet else []:
                 self.send(data)
 

@@ -20,7 +20,13 @@ from stewart_drake.machines.simulated import RobotSide
 FLAGS = st.sampled_from([bits | takes << 2 for bits in (0, 1, 2, 3, 16, 19) for takes in (0, 1, 2, 3)])
 VALUES = st.lists(st.floats(width=32, allow_nan=False, allow_infinity=False), min_size=6, max_size=6)
 PACKETS = st.builds(
-    Packet, FLAGS, st.integers(0, 2**32 - 1), st.integers(0, 2**32 - 1), st.integers(0, 2**64 - 1), VALUES.map(np.array)
+    Packet,
+    FLAGS,
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 2**64 - 1),
+    VALUES.map(np.array),
+    st.none(),
 )
 
 
@@ -34,7 +40,7 @@ def test_a_packet_comes_back_and_through_a_frame(packet):
     assert len(data) == wire.SIZE
     assert same(decode(data), packet)
     frame = to_frame(data)
-    assert len(frame) == wire.LONGEST_FRAME
+    assert len(frame) == wire.SIZE + 2
     assert frame.index(0) == len(frame) - 1
     assert same(decode(from_frame(frame[:-1])), packet)
 
@@ -178,7 +184,7 @@ def c_decode(in_c, data):
 
 @given(packet=PACKETS, data=st.binary(max_size=48))
 def test_c_writes_the_same_bytes(in_c, packet, data):
-    out, frame = ctypes.create_string_buffer(wire.SIZE), ctypes.create_string_buffer(wire.LONGEST_FRAME)
+    out, frame = ctypes.create_string_buffer(wire.SIZE), ctypes.create_string_buffer(wire.SIZE + 2)
     values = (ctypes.c_float * 6)(*packet.values)
     in_c.sd_encode(ctypes.byref(CPacket(*packet[:4], values)), out)
     assert out.raw == encode(packet)
@@ -212,7 +218,7 @@ def test_c_decides_as_python_does(in_c):
             assert taken == side.counts["accepted"] - accepted
         now = clock + chance.choice([500, 98_000, 102_000]) + chance.randint(1, 99)
         assert bool(in_c.sd_holds(ctypes.byref(other), ctypes.c_uint64(now))) == side.holds(now * 1e-6)
-    frame = ctypes.create_string_buffer(wire.LONGEST_FRAME)
+    frame = ctypes.create_string_buffer(wire.SIZE + 2)
     size = in_c.sd_reading(ctypes.byref(other), (ctypes.c_float * 6)(*range(6)), ctypes.c_uint64(clock), frame)
     reading = decode(from_frame(frame.raw[: size - 1]))
     assert reading.flags & (wire.READING | wire.MEASURED) == wire.READING
@@ -244,3 +250,23 @@ def test_the_example_bytes_of_the_page_are_those_of_the_packet():
     packet = Packet(wire.ACTIVE, 258, 257, 1_000_000, np.array([0.5, -0.25, 0.0, 1.0, -1.0, 0.1]))
     shown = [bytes.fromhex(re.sub(r"\s", "", block)) for block in blocks]
     assert shown == [encode(packet), to_frame(encode(packet))]
+
+
+INERTIAL = st.lists(st.floats(width=32, allow_infinity=False), min_size=6, max_size=6)
+
+
+@given(PACKETS, INERTIAL.map(np.array))
+def test_a_packet_with_inertial_readings_comes_back_and_one_without_is_as_before(packet, imu):
+    data = encode(packet._replace(imu=imu))
+    assert (len(data), data[2], encode(packet)[2]) == (wire.LONGEST, 2, 1)
+    frame = to_frame(data)
+    assert len(frame) <= wire.LONGEST_FRAME
+    found = decode(from_frame(frame[:-1]))
+    assert same(found, packet)
+    np.testing.assert_array_equal(found.imu, imu)  # NaN: no new reading
+    assert decode(encode(packet)).imu is None
+    for version in (0, 1, 3):
+        other = bytearray(data)
+        other[2] = version
+        other[-4:] = crc32(other[:-4]).to_bytes(4, "little")
+        assert decode(bytes(other)) is None

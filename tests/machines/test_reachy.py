@@ -113,6 +113,17 @@ def test_a_command_has_seven_numbers_with_the_yaw_that_the_body_has(daemon, mach
         machine.command(np.full(6, np.nan))
 
 
+def test_inertial_data_of_the_wireless_version_come_with_the_angles(daemon, machine):
+    assert machine.read().imu is None
+    daemon.extra = [
+        '{"type": "imu_data", "accelerometer": [0.1, -0.2, 9.8], "gyroscope": [0.01, 0.02, -0.03],'
+        ' "quaternion": [1, 0, 0, 0], "temperature": 31.5}'
+    ]
+    told = [imu.tolist() for _ in range(30) if (imu := machine.read().imu) is not None]
+    assert len(told) > 15
+    assert told[0] == [0.01, 0.02, -0.03, 0.1, -0.2, 9.8]
+
+
 def test_other_messages_are_passed_over(daemon, machine):
     daemon.extra = [
         '{"type": "imu_data", "quaternion": [1, 0, 0, 0]}', "[1, 2]", "null", "no json", "5",

@@ -11,7 +11,8 @@ from made_machines import ROOT, SERVOS, TORQUES, go_on
 
 from stewart_drake import Controller, inverse_kinematics
 from stewart_drake.machines.machine import MachineError, open_machine
-from stewart_drake.machines.simulated import SimulatedRobot
+from stewart_drake.machines.packet import Packet, decode, encode
+from stewart_drake.machines.simulated import RobotSide, SimulatedRobot
 from stewart_drake.plant.plant_options import ANGLES
 
 
@@ -29,6 +30,16 @@ def test_the_robot_is_held_at_home_and_stopped_by_its_brakes(scenario):
     for _ in range(20):
         robot.advance(True)
     np.testing.assert_allclose(robot.reading(), moving, atol=2e-3)
+
+
+def test_its_inertial_sensor_feels_gravity_and_sends_it():
+    robot = SimulatedRobot(SERVOS.replace({"sensors": {"kind": "encoders", "imu": {}}}))
+    side = RobotSide("angle", np.array([[-1.0] * 6, [1.0] * 6]))
+    side.take(encode(Packet(0, 1, 0, 0, np.zeros(6))), ("", 0), 0.0)
+    packet = decode(side.reading(robot.reading(), 0.0, 0.0, robot.imu))
+    assert np.linalg.norm(packet.imu[3:]) == pytest.approx(9.81, abs=0.5)
+    assert SimulatedRobot(SERVOS).imu is None
+    assert not side.take(encode(Packet(2, 2, 0, 0, np.zeros(6), packet.imu)), ("", 0), 0.0)  # commands have none
 
 
 def test_servos_that_get_no_command_keep_the_last_angle():

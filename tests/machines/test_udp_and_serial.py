@@ -340,3 +340,15 @@ def test_urls():
     assert open_machine("reachy://", SERVOS)._url == "ws://127.0.0.1:8000/ws/sdk"
     with pytest.raises(ConfigurationError, match=r"model.motors: expected motors that take angle, as reachy does"):
         open_machine("reachy://", TORQUES)
+
+
+def test_inertial_readings_come_once_each_and_those_of_old_robots_are_none(robot):
+    machine = machine_of(robot)
+    machine.connect()
+    assert machine.read().imu is None
+    robot.imu = np.array([0.1, np.nan, 0.3, 0.0, 0.0, 9.81])
+    deadline = time.monotonic() + 5.0
+    while (imu := machine.read().imu) is None:
+        assert time.monotonic() < deadline
+    np.testing.assert_allclose(imu, robot.imu, rtol=1e-6)
+    machine.disconnect()

@@ -96,6 +96,15 @@ def test_four_methods_are_enough(mine):
     machine.disconnect()
 
 
+def test_inertial_readings_may_be_missing_but_not_infinite(mine):
+    reading = "Reading(self.angles, 0.0, 0.0, 1, imu=[0, 0, {}, 0, 0, 9.8])"
+    machine = mine("Now", reading.format("float('nan')"))
+    machine.connect()
+    assert machine.read().imu[5] == 9.8
+    with pytest.raises(MachineError, match="read gave imu"):
+        mine("Now", reading.format("float('inf')")).connect()
+
+
 def test_one_with_a_clock_and_attributes_of_its_own(mine):
     machine = mine("WithClock")
     assert (machine.period, machine.takes, machine.reads, machine.paced) == (0.01, "angle", False, True)

@@ -101,6 +101,22 @@ def test_what_a_machine_without_encoders_has_done_is_not_known_and_marked(tmp_pa
     assert load_log(tmp_path / "log.parquet").warnings == log.warnings
 
 
+INERTIAL = {"estimator": "observer", "model.imu": {}, "sensors": {"kind": "encoders", "imu": {}}}
+
+
+@pytest.mark.parametrize(("known", "told"), [({}, 1), (INERTIAL, 0)])
+def test_an_inertial_sensor_is_used_and_logged_and_told_where_the_controller_does_not_know_it(known, told, caplog):
+    machine, scenario = Servos(), BASE.replace(known)
+    plain = machine.read
+    machine.read = lambda: plain()._replace(imu=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 9.81]))
+    log = driven(machine, scenario, seconds=0.5)
+    assert log.status == "completed"
+    assert sum("inertial sensor" in record.message for record in caplog.records) == told
+    assert ("imu" in log) == bool(known)
+    if known:
+        assert log["imu"][-1].tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 9.81]
+
+
 def interrupted(_):
     raise KeyboardInterrupt
 

@@ -23,9 +23,9 @@ int @NAME@_step(
 {
     struct loop *loop = (struct loop *)controller;
     const double *given = @COMMAND@;
-    for (int k = 0; k < @UPPER@_READING; k++) {
+    for (int k = 0; k < @BOUND@; k++) {
         loop->@READS@[k] = reading[k];
-    }
+    }@INERTIAL@
 @GIVEN@
     loop->time[0] = loop->steps * @GRID@;
     loop->age[0] = age / @TICK@;
