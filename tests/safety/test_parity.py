@@ -1,0 +1,162 @@
+"""Encoders against an inertial sensor: which of them is wrong. Oracles: SciPy's rotations, finite differences."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from stewart_drake import RobotParameters, load_scenario
+from stewart_drake.base.jit import njit
+from stewart_drake.base.records import record
+from stewart_drake.mechanics import kinematics_laws as laws
+from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
+from stewart_drake.safety.parity import (
+    ParityParams,
+    ParityState,
+    encoder_lines,
+    parity_rows,
+    rotation_between,
+    sensor_acceleration,
+    suspect_leg,
+    turn_by,
+)
+
+GRAVITY = np.array([0.0, 0.0, -9.81])
+PERIOD, ONSET = 0.01, 2.0  # [s]
+BOUND = np.radians(0.6)
+# Standard deviations of a sample of a cheap sensor: rates [rad/s], specific force [m/s^2]; and of its biases.
+NOISE, BIAS = (2e-3, 0.02), (0.01, 0.2)
+vectors = st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3).map(np.array)
+
+
+def matrix(rpy):
+    return Rotation.from_euler("ZYX", rpy[::-1]).as_matrix()
+
+
+@njit
+def lines_at(robot, pose, legs, out):
+    robot, legs = record(robot), record(legs)
+    return laws.legs_at(robot, pose, legs) < 0 and encoder_lines(legs, out)
+
+
+@given(vectors, vectors)
+def test_rotation_vectors(first, second):
+    turned = matrix(second)
+    turn_by(first, turned)
+    expected = Rotation.from_rotvec(first).as_matrix() @ matrix(second)
+    np.testing.assert_allclose(turned, expected, atol=1e-12)
+    out = np.empty(3)
+    rotation_between(turned, matrix(second), out)
+    np.testing.assert_allclose(out, first, atol=1e-9)
+
+
+@given(vectors.map(lambda v: 0.5 * v), vectors, vectors, vectors)
+def test_the_acceleration_of_a_place_is_its_second_difference(rpy, rate, acceleration, place):
+    h, reference = 1e-4, np.concatenate([rpy, np.zeros(3), rate, place, acceleration, rate])
+    where = [
+        (matrix(rpy + t * rate + 0.5 * t**2 * acceleration) @ place) + t * reference[9:12] + 0.5 * t**2 * reference[15:]
+        for t in (-h, 0.0, h)
+    ]
+    out = np.empty(3)
+    sensor_acceleration(place, reference, out)
+    np.testing.assert_allclose(out, (where[0] - 2.0 * where[1] + where[2]) / h**2, atol=1e-4)
+
+
+def test_the_lines_are_turns_per_radian_of_an_encoder():
+    robot = RobotParameters()
+    pose, lines = robot.home_pose + np.array([0.1, -0.2, 0.1, 0.01, 0.0, 0.01]), np.empty((6, 3))
+    assert lines_at(laws.robot_record(robot), pose, laws.Legs.empty(), lines)
+    angles, step = inverse_kinematics(robot, pose), 1e-5
+    for leg in range(6):
+        moved = forward_kinematics(robot, angles + step * np.eye(6)[leg], guess=pose)
+        turn = Rotation.from_matrix(matrix(moved[:3]) @ matrix(pose[:3]).T).as_rotvec()
+        np.testing.assert_allclose(lines[leg], turn / step, atol=1e-4)
+        found, error = suspect_leg(lines, 0.03 * lines[leg])
+        assert found == leg
+        assert error == pytest.approx(0.03)
+
+
+def test_a_difference_along_no_line_names_no_leg():
+    robot, lines = RobotParameters(), np.empty((6, 3))
+    lines_at(laws.robot_record(robot), robot.home_pose, laws.Legs.empty(), lines)
+    directions = np.random.default_rng(0).normal(size=(2000, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    units = lines / np.linalg.norm(lines, axis=1)[:, None]
+    off = np.sqrt(1.0 - np.max(np.abs(directions @ units.T), axis=1) ** 2)
+    legs = np.array([suspect_leg(lines, direction)[0] for direction in directions])
+    assert (legs[off > 0.36] == -1).all()
+    assert (legs[off > 0.36].size, legs[off < 0.1].min()) > (100, -1)
+
+
+def samples(scenario, duration, seed=0):
+    """Angles (n, 6), samples of the sensor (n, 6) and references (n, 18) of a motion that is followed exactly."""
+    random, times = np.random.default_rng(seed), PERIOD * np.arange(round(duration / PERIOD))
+    reference = np.concatenate(scenario.reference.evaluate(times), axis=1)
+    turns = Rotation.from_matrix(np.array([matrix(row[:3]) for row in reference])).inv()
+    omega, force, place = np.empty((len(times), 3)), np.empty((len(times), 3)), np.array([0.01, 0.02, 0.005])
+    for row, of_row, at_place in zip(reference, omega, force, strict=True):
+        laws.angular_velocity(row[:3], row[6:9], of_row)
+        sensor_acceleration(place, row, at_place)
+    imu = np.hstack([turns.apply(omega), turns.apply(force - GRAVITY)])
+    imu += np.repeat(NOISE, 3) * random.normal(size=imu.shape) + np.repeat(BIAS, 3) * random.normal(size=6)
+    angles = inverse_kinematics(scenario.robot, reference[:, :6]) + 1e-4 * random.normal(size=(len(times), 6))
+    params = ParityParams.new(period=PERIOD, gravity=GRAVITY, mounting=np.eye(3), place=place, later=0.0, bound=BOUND)
+    return params, angles, imu, reference
+
+
+def compare(scenario, params, angles, imu, reference):
+    """First sample that differs, or -1; the leg that is named then; all differences [rad]."""
+    robot, state, legs, out = (
+        laws.robot_record(scenario.robot),
+        ParityState.new(),
+        laws.Legs.empty(),
+        np.empty((len(angles), 3)),
+    )
+    row = parity_rows(robot, params, angles, imu, reference, legs, state, out)
+    lines = np.empty((6, 3))
+    lines_at(robot, reference[row, :6].copy(), legs, lines)
+    return row, suspect_leg(lines, out[row])[0], out
+
+
+@pytest.fixture(scope="module", params=["exact_breathing", "reachy_nod"])
+def scenario(request):
+    return load_scenario(request.param)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_and_biases_are_no_difference(scenario, seed):
+    row, _, difference = compare(scenario, *samples(scenario, 30.0, seed))
+    assert row == -1
+    assert np.abs(difference).max() < 0.9 * BOUND
+
+
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("rate", [0.3, 0.01])
+def test_an_encoder_that_drifts_is_named(scenario, leg, rate):
+    params, angles, imu, reference = samples(scenario, ONSET + 0.035 / rate)
+    angles[:, leg] += rate * np.maximum(0.0, PERIOD * np.arange(len(angles)) - ONSET)
+    row, named, _ = compare(scenario, params, angles, imu, reference)
+    assert row >= 0
+    assert named == leg
+    # [rad], less than 1 deg of the platform, and three samples.
+    assert ((row - 3) * PERIOD - ONSET) * rate < 0.025
+
+
+def test_an_encoder_that_freezes_is_named(scenario):
+    params, angles, imu, reference = samples(scenario, ONSET + 4.0)
+    onset = round(ONSET / PERIOD)
+    angles[onset:, 3] = angles[onset, 3]
+    row, named, _ = compare(scenario, params, angles, imu, reference)
+    assert row >= onset
+    assert named == 3
+
+
+@pytest.mark.parametrize(("channel", "size"), [(0, 0.1), (2, 0.1), (4, 3.0)])
+def test_a_sensor_that_jumps_differs_and_no_leg_is_named(channel, size):
+    scenario = load_scenario("exact_breathing")
+    params, angles, imu, reference = samples(scenario, ONSET + 4.0)
+    imu[round(ONSET / PERIOD) :, channel] += size
+    row, named, _ = compare(scenario, params, angles, imu, reference)
+    assert row >= round(ONSET / PERIOD)
+    assert named == -1
