@@ -29,6 +29,7 @@ from stewart_drake.safety.options import (
     MEASUREMENT,
     NO_TRIP,
     NOT_MOVING,
+    PARITY,
     READING,
     SENSOR,
     TORQUE_LIMIT,
@@ -101,6 +102,7 @@ NOT_THERE = {
     "controller_health": np.array(HEALTHY),
     "angles": np.full(6, np.nan),
     "pose_reading": np.full(12, np.nan),
+    "parity": np.array([0.0, -1.0]),
 }
 """Inputs in loops that have no signal for a port."""
 
@@ -150,6 +152,7 @@ def safety_tick(
     controller: Vec2,
     angles: Vec6,
     pose_reading: Vec12,
+    parity: Vec2,
     legs: Legs,
     observed: Observed,
     state: SafetyState,
@@ -190,6 +193,8 @@ def safety_tick(
         monitor = UNEXPLAINED
     if monitor == NO_TRIP and still == STANDING:
         monitor, leg = NOT_MOVING, standing
+    if monitor == NO_TRIP and parity[0] != 0.0:
+        monitor, leg = PARITY, int(parity[1])
     if monitor == NO_TRIP:
         level = HOLD
         monitor, leg, cause = _unusable(params, command, is_measured, age[0], sensor, controller)
@@ -258,7 +263,9 @@ def _react(
         if blind:
             set_to(residual.suspect[:], READING_WRONG)
         else:
-            suspect = mark_suspects(residual, leg if monitor == SENSOR else -1, unexplained)
+            known = monitor == SENSOR
+            known = known or monitor == PARITY
+            suspect = mark_suspects(residual, leg if known else -1, unexplained)
             leg = suspect if suspect >= 0 else leg
     state.safety.level, state.safety.monitor, state.safety.leg = level, monitor, leg
     state.worst = max(state.worst, float(level))

@@ -19,15 +19,16 @@ from stewart_drake.safety.stillness import FROZEN_AFTER, TRAVEL_SHARE
 MONITORS = (
     *("none", "measurement_not_finite", "sensor_failed", "controller_failed", "command_not_finite", "deadline"),
     *("workspace", "serial_singularity", "parallel_singularity", "crank_speed", "following_error", "torque_limit"),
-    *("torque_rate", "innovation", "reading_stuck", "unexplained_torque", "not_moving"),
+    *("torque_rate", "innovation", "reading_stuck", "unexplained_torque", "not_moving", "parity"),
 )
 """Stable names of the monitors, by their number in the log: new ones come last. `innovation` is in old logs alone."""
 NO_TRIP, MEASUREMENT, SENSOR, CONTROLLER, COMMAND, DEADLINE, WORKSPACE, SERIAL, PARALLEL, CRANK_SPEED = range(10)
-FOLLOWING, TORQUE_LIMIT, TORQUE_RATE, INNOVATION, READING, UNEXPLAINED, NOT_MOVING = range(10, len(MONITORS))
+FOLLOWING, TORQUE_LIMIT, TORQUE_RATE, INNOVATION, READING, UNEXPLAINED, NOT_MOVING, PARITY = range(10, len(MONITORS))
 """Numbers of the monitors."""
 MEANINGS = {
     "reading_stuck": "a sensor repeats itself, or no crank moves at all",
     "not_moving": "a crank stands, or its reading does, while its reference moves",
+    "parity": "an encoder, or the inertial sensor on the platform, is wrong",
     "unexplained_torque": "a reading or a motor is wrong, or load and friction exceed safety.unexplained_torque",
 }
 """More about a monitor, for the message of a run that it ends."""
@@ -55,6 +56,9 @@ class SafetyOptions(Section, key="safety"):
     standstill: Fraction | None = TRAVEL_SHARE
     """[-] share of its reference's travel in the last second by which a crank must have moved. Travel within 0.03 rad
     does not count, because of play and friction; a reference that moves by less is not compared."""
+    parity: Positive | None = math.radians(1.0)
+    """[rad] largest difference of the platform's orientation by the encoders and by an inertial sensor on it, where the
+    model has one. A wrong encoder is named by the direction of the difference."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
     """[-] largest command as a fraction of the motors' limit; commands are cut there. They may be there or beyond for
     0.1 s in sum."""

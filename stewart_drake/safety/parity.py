@@ -11,13 +11,20 @@ Gravity says nothing about a turn around it, so this part of the orientation fol
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat3, Mat6x3, Record, Vec3, Vec6, Vec18, record
+from stewart_drake.base.records import Mat3, Mat6x3, Record, Vec2, Vec3, Vec6, Vec18, record
+from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot, cross, dot, turned
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, largest_size, set_to, solve
+from stewart_drake.robot.gravity import gravity_vector
+
+if TYPE_CHECKING:
+    from stewart_drake.hardware.imu import ImuOptions
 
 ALIGNMENT = 0.5  # [s] from the start in which biases are found; the robot's readings are believed in that time.
 TILT_TIME, BIAS_TIME, TURN_TIME = 1.0, 20.0, 5.0
@@ -45,10 +52,10 @@ class ParityParams(Record):
 class ParityState(Record):
     """State of the comparison."""
 
+    parity: Vec2  # 1 while the two differ, else 0; the leg whose reading is wrong, -1 for none.
     samples: float  # Number of samples so far.
     pose: Vec6  # [rad, m] of the encoders.
     rotation: Mat3  # R_BP of the inertial sensor.
-    rates: Vec3  # [rad/s] of the last sample, in P.
     rate_bias: Vec3  # [rad/s] of the gyroscopes, in P.
     force_bias: Vec3  # [m/s^2] of the accelerometers, in P.
     difference: Vec3  # [rad] rotation in B from the inertial sensor's orientation to the encoders'.
@@ -150,6 +157,8 @@ def parity_sample(
 ) -> int:
     """A sample: readings (6,) [rad] of the encoders; rates [rad/s] and specific force [m/s^2] (6,) of the sensor.
 
+    A sample of the sensor is the mean of the time since the last one.
+
     Returns:
         AGREES or DIFFERS; `legs` are those of the encoders' pose. Samples that are not finite are left out.
     """
@@ -172,10 +181,6 @@ def parity_sample(
     sensor_acceleration(params.place, reference, expected)
     for k in range(3):
         expected[k] -= params.gravity[k]
-    for k in range(3):
-        rate = rates[k]
-        rates[k] = 0.5 * (rate + (rate if is_first else state.rates[k]))
-        state.rates[k] = rate
     state.samples += 1.0
     if state.samples * params.period <= ALIGNMENT:
         _align(params, legs, before, rates, force, expected, state)
@@ -254,6 +259,36 @@ def correct_reading(leg: int, legs: Legs, state: ParityState, share: float) -> b
     if squared > 0.0 and largest_size(state.difference) < np.pi:
         state.correction[leg] -= share * dot(lines[leg], state.difference) / squared
     return True
+
+
+@njit
+def parity_tick(
+    robot: Robot, params: ParityParams, reading: Vec6, imu: Vec6, reference: Vec18, legs: Legs, state: ParityState
+) -> None:
+    """A tick; `imu` (6,) is NaN where there is no new sample."""
+    robot, params, legs, state = record(robot), record(params), record(legs), record(state)
+    if parity_sample(robot, params, reading, imu, reference, legs, state) == AGREES:
+        state.parity[0], state.parity[1] = 0.0, -1.0
+    elif state.parity[0] == 0.0:
+        lines = np.empty((6, 3))
+        leg = suspect_leg(lines, state.difference)[0] if encoder_lines(legs, lines) else -1
+        state.parity[0], state.parity[1] = 1.0, float(leg)
+
+
+def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:
+    """`reading` (6,) [rad], `imu` (6,), `reference` (18,) -> `parity` (2,), for a bound [rad] of the difference."""
+    params = ParityParams.new(
+        period=imu.period or context.period,
+        gravity=gravity_vector(context.gravity),
+        mounting=imu.mounting,
+        place=imu.position,
+        later=imu.delay - context.reading_age,
+        bound=bound,
+    )
+    inputs, parameters = {"reading": 6, "imu": 6, "reference": 18}, {"robot": laws.robot_record(context.robot)}
+    first = ParityState.new(parity=[0.0, -1.0])
+    part = Part("parity", parity_tick, {}, inputs, ("parity",), first, (Legs,))
+    return part._replace(parameters=parameters | {"params": params})
 
 
 @njit

@@ -26,6 +26,7 @@ from stewart_drake.hardware.moving_base import base_signal
 from stewart_drake.loop.part import NOTHING, LoopContext, Part
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.safety import SafetyOptions, safety_part
+from stewart_drake.safety.parity import parity_part
 from stewart_drake.safety.stream import StreamReference
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.scenario import Scenario
@@ -377,6 +378,11 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
         elif observed:
             seen["pose_reading"] = reading
         seen |= {signal: signal for part in parts if (signal := part.signal("health")) != "health"}
+        if safety.parity is not None and context.imu is not None and context.reading == 6:
+            parts.append(
+                parity_part(context, context.imu, safety.parity).connected(reading=reading, reference=reference)
+            )
+            seen["parity"] = "parity"
         layer = [safety_part(safety, context).connected(**seen).named(torque="safe_torque")]
 
     # A sensor of the base writes parameters of all these parts, and so do adaptive laws.

@@ -95,10 +95,12 @@ def samples(scenario, duration, seed=0):
     reference = np.concatenate(scenario.reference.evaluate(times), axis=1)
     turns = Rotation.from_matrix(np.array([matrix(row[:3]) for row in reference])).inv()
     omega, force, place = np.empty((len(times), 3)), np.empty((len(times), 3)), np.array([0.01, 0.02, 0.005])
-    for row, of_row, at_place in zip(reference, omega, force, strict=True):
-        laws.angular_velocity(row[:3], row[6:9], of_row)
+    for row, at_place in zip(reference, force, strict=True):
         sensor_acceleration(place, row, at_place)
-    imu = np.hstack([turns.apply(omega), turns.apply(force - GRAVITY)])
+    # The mean rate of a period is its turn.
+    omega[1:] = (turns[1:] * turns[:-1].inv()).inv().as_rotvec() / PERIOD
+    omega[0] = omega[1]
+    imu = np.hstack([omega, turns.apply(force - GRAVITY)])
     imu += np.repeat(NOISE, 3) * random.normal(size=imu.shape) + np.repeat(BIAS, 3) * random.normal(size=6)
     angles = inverse_kinematics(scenario.robot, reference[:, :6]) + 1e-4 * random.normal(size=(len(times), 6))
     params = ParityParams.new(period=PERIOD, gravity=GRAVITY, mounting=np.eye(3), place=place, later=0.0, bound=BOUND)
