@@ -211,15 +211,15 @@ def calibration():
     robot, poses = sd.load_robot("servo_hexapod"), ROOT / "diagrams" / "calibration" / "poses.csv"
     noise = sd.MeasurementNoise(encoder=2.0 * math.pi / 2**14 / math.sqrt(12.0))
 
-    def fitted(*hold):
-        result = sd.calibrate(robot, poses, noise, hold=hold)
+    def fitted(*hold, fit=None):
+        result = sd.calibrate(robot, poses, noise, hold=hold, fit=fit)
         values = np.array([row[-2:] for row in result.rows()])
         sizes = {"noise_ratio": result.noise_ratio, "error_sizes": result.error_sizes()}
         return {"value": values[:, 0], "half_width": values[:, 1], **sizes}
 
     plan = sd.plan_poses(robot, 20, noise=noise, candidates=200)
     planned = {"angles": plan.targets.angles, "half_width": plan.half_width, "gain": plan.gain}
-    return {"all": fitted(), "held": fitted("crank_length", "rod_length"), "plan": planned}
+    return {"all": fitted(), "held": fitted("crank_length", "rod_length", fit="geometry"), "plan": planned}
 
 
 def identification():

@@ -72,7 +72,7 @@ def page_of(target: Path) -> Path | None:
 def file_page(target: Path) -> str:
     """A page that shows a file; Markdown as it reads, anything else as it is."""
     if target.suffix == ".md":
-        include = f"```{{include}} /../{target.relative_to(ROOT)}\n:relative-docs: docs/\n```"
+        include = f"```{{include}} /../{target.relative_to(ROOT)}\n:relative-docs: docs/\n:relative-images:\n```"
         return f"---\norphan: true\n---\n{include}\n"
     text = f"---\norphan: true\nnosearch: true\n---\n# {target.name}\n\n`{target.relative_to(ROOT)}`\n\n"
     language = {".py": "python", ".yaml": "yaml"}.get(target.suffix, "text")

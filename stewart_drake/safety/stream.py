@@ -11,7 +11,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, PrivateAttr
 
-from stewart_drake.base.config import Positive, Section, Text
+from stewart_drake.base.config import Flag, Positive, Section, Text
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.tables import POSE, column_of
 from stewart_drake.loop.part import Part
@@ -43,7 +43,7 @@ class StreamReference(Section, key="reference"):
     semicolons or spaces."""
     columns: tuple[Text, ...] = ("roll_deg", "pitch_deg", "yaw_deg", "x_mm", "y_mm", "z_mm")
     """Meaning of the numbers in a line, in order: names with units as in tables of poses; others are ignored."""
-    relative: bool = False
+    relative: Flag = False
     """Whether the numbers in a line count from home."""
     period: Positive = 0.02
     """[s] between two decisions of the filter."""
