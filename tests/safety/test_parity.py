@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from stewart_drake import RobotParameters, load_scenario
+from stewart_drake import RobotParameters, load_scenario, run
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import record
 from stewart_drake.mechanics import kinematics_laws as laws
@@ -162,3 +162,25 @@ def test_a_sensor_that_jumps_differs_and_no_leg_is_named(channel, size):
     row, named, _ = compare(scenario, params, angles, imu, reference)
     assert row >= round(ONSET / PERIOD)
     assert named == -1
+
+
+SENSORS = {"kind": "encoders", "noise": 2e-5, "imu": {"preset": "bmi088"}}
+LOOP = {"plant": "closed_form", "safety": {}, "duration": 2.5}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("rate", "leg"), [(0.3, 2), (0.1, 5)])
+def test_the_safety_layer_stops_a_robot_whose_encoder_drifts_and_names_it(rate, leg):
+    fault = {"kind": "drift", "size": rate, "leg": leg, "time": 1.0}
+    scenario = load_scenario("exact_breathing").replace({**LOOP, "sensors": {**SENSORS, "faults": [fault]}})
+    trip = run(scenario, check=False).safety
+    assert (trip["monitor"], trip["leg"]) == ("parity", leg)
+    assert (trip["time"] - 1.0) * rate < 0.06  # [rad]
+    unseen = run(scenario.replace({"safety.parity": None}), check=False)
+    assert (unseen.safety or {}).get("monitor") != "parity"
+
+
+@pytest.mark.slow
+def test_healthy_readings_do_not_trip():
+    log = run(load_scenario("exact_breathing").replace({**LOOP, "sensors": SENSORS}))
+    assert log.status == "completed"

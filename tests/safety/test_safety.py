@@ -36,9 +36,10 @@ OPTIONS = SafetyOptions()
 
 
 def inputs(command=WEIGHT, pose=HOME, rate=STILL, reference=None, **rest):
-    """A tick: `rest` are age, sensor, controller, angles and pose_reading."""
+    """A tick: `rest` are age, sensor, controller, angles, pose_reading and parity."""
     reference = pose if reference is None else reference
     more = {"age": 0.0, "sensor": HEALTHY, "controller": HEALTHY, "angles": None, "pose_reading": None}
+    more["parity"] = NOT_THERE["parity"]
     command = np.asarray(command, dtype=float)
     return SimpleNamespace(
         command=command, pose=np.asarray(pose), rate=np.asarray(rate), reference=reference, **(more | rest)
@@ -55,7 +56,9 @@ def run(sequence, options=OPTIONS, period=PERIOD):
         health = (np.array(each, dtype=float) for each in (one.sensor, one.controller))
         measured, wanted = np.concatenate([one.pose, one.rate]), np.concatenate([one.reference, np.zeros(12)])
         try:
-            part.tick(one.command, measured, wanted, np.array([one.age]), *health, angles, read, state)
+            part.tick(
+                one.command, measured, wanted, np.array([one.age]), *health, angles, read, np.array(one.parity), state
+            )
         except SafetyStop as stop:
             return done, stop
         said = dict(zip(("level", "monitor", "leg"), state["safety"][0].copy(), strict=True))
@@ -92,6 +95,7 @@ TRIPS = [
     ("following_error", inputs(pose=at(y=1e-9), reference=at(roll=0.11)), RAMP, "following_error"),
     ("following_error", inputs(reference=np.full(6, np.nan)), RAMP, None),
     ("torque_limit", inputs(command=[0, 0, 0, 0, 1e6, 0]), HOLD, None),
+    ("parity", inputs(parity=[1.0, 3.0]), RAMP, None),
     ("deadline", inputs(age=np.nan), HOLD, None),
 ]
 
