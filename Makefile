@@ -84,6 +84,10 @@ page_margins = $(SCRIPT)/margins_study.py
 page_monte_carlo = $(CLI) sweep monte_carlo --out runs/monte_carlo && $(SCRIPT)/write_monte_carlo.py runs/monte_carlo
 # Five minutes.
 page_random_faults = $(SCRIPT)/random_faults.py
+# Five minutes.
+page_imu = $(SCRIPT)/imu_study.py
+# A minute.
+page_parity = $(SCRIPT)/parity_study.py
 # Two minutes.
 page_reach = $(SCRIPT)/reach_study.py
 # Two minutes.

@@ -1,4 +1,4 @@
-"""What an inertial sensor adds to the observer: `python docs/scripts/imu_study.py`, five minutes on two cores.
+"""What an inertial sensor adds to the observer: `python docs/scripts/imu_study.py`, `make results/imu`, five minutes.
 
 Writes docs/results/imu.md. All runs are on the closed form; 100 random robots are those of the tests.
 """

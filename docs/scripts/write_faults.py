@@ -36,7 +36,7 @@ all columns, and what every fault is; `docs/scripts/write_faults.py` makes this 
 - *completed*: the layer held the last good command or pose and gave control back. *stopped*: it brought the robot to a
   safe hold. *failed*: it switched the motors off.
 - An encoder that drifts, or that freezes while the robot is at rest, is not noticed: six readings for six degrees of
-  freedom never contradict each other.
+  freedom never contradict each other; with an [inertial sensor](parity.md) it is.
 - With a dead motor the other five cannot carry the platform: they need an external force of {support} N to hold it at
   rest. So brakes must close.
 
