@@ -25,6 +25,7 @@ from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
 _NOISY = 2.0  # Ratio of errors to the stated noise above which this noise, or the model, is doubtful.
+KEPT = "none"
 _SAME = 1e-9  # [rad, m] less than any tracker's last digit, more than a file's.
 _HOPELESS = 3.0  # [-] closures over those of the richest fit, from which a simpler one is not tried to the end.
 _MISFIT = _BETTER = 5.0
@@ -277,6 +278,9 @@ def calibrate(
     _refuse_plan(robot, measurements)
     ways = _ways(robot, known_frames, hold, fit, measurements.measured)
     enough = [name for name in ways if fewest_poses(ways[name], measurements) <= len(measurements)] or [*ways][-1:]
+    if fit is None:
+        ways[KEPT] = geometry.free_frames(known_frames, measurements.measured)
+        enough.append(KEPT)
     few = [Choice(name, ways[name].shape[1], np.inf, np.inf, "too few poses") for name in ways if name not in enough]
 
     def closures(name: str, some: Measurements = measurements) -> ClosureFit:
@@ -290,7 +294,7 @@ def calibrate(
     estimate, noise_ratio = fits[best]
     known = tuple(frame for frame in geometry.FRAMES if frame in known_frames)
     kept = tuple(kind for kind in KINDS if kind in hold or kind not in FITS[best])
-    calibrated = geometry.as_robot(robot, estimate.values)
+    calibrated = robot if best == KEPT else geometry.as_robot(robot, estimate.values)
     fitted = estimate, noise_ratio, best, (*few, *choices)
     return Calibration(calibrated, start.model, measurements, known, kept, *fitted)
 
@@ -300,7 +304,9 @@ def _ways(
 ) -> dict[str, np.ndarray]:
     """What can be fitted, the richest first: free directions by the name of a fit; with what is held two may be one."""
     # Angles alone say nothing of the robot's size, and little of its shape.
-    names = (fit,) if fit else tuple(FITS) if measured.all() else ("offsets", "servos")
+    names = (fit,) if fit else tuple(FITS)[1:] if measured.all() else ("offsets", "servos")
+    if fit == KEPT:
+        return {KEPT: geometry.free_frames(known, measured)}
     held = {frozenset(set(KINDS) - set(FITS[name]) | set(hold)): name for name in reversed(names)}
     some = {kinds: name for kinds, name in held.items() if len(kinds) < len(KINDS)} or held
     ways = {name: geometry.free_directions(robot, known, kinds, measured) for kinds, name in some.items()}
@@ -316,15 +322,16 @@ def _choices(
     for name in names:
         begin = closures(name) if fits else start
         unknown = begin.directions.shape[1]
-        if begin.misfit > _HOPELESS * max(1.0, start.misfit):
+        if fits and begin.misfit > _HOPELESS * max(1.0, start.misfit):
             choices.append(Choice(name, unknown, np.inf, np.inf, "do not fit"))
             continue
-        estimate, ratio, _ = fit_tracker(begin, white)
+        estimate, ratio, _, effective = fit_tracker(begin, white)
         fits[name] = estimate, ratio
         # The richest fit shows whether the noise is larger than stated.
         largest = largest if len(fits) > 1 else max(largest, ratio)
-        errors = max(1, count - unknown) * (ratio / largest) ** 2
-        choices.append(Choice(name, unknown, ratio, errors + 2.0 * unknown))
+        errors = max(1.0, count - effective) * (ratio / largest) ** 2
+        # Numbers that the prior decides cannot fit the noise.
+        choices.append(Choice(name, unknown, ratio, errors + 2.0 * effective))
     return choices, fits
 
 
