@@ -1,4 +1,4 @@
-"""What may be wrong with measured poses that do not fit a robot: units, single rows, the sign of an encoder."""
+"""What may be wrong with measured poses that do not fit a robot: units, single rows, signs of encoders and IMUs."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from stewart_drake.base.tables import AXES
 from stewart_drake.estimation import geometry
 from stewart_drake.estimation.geometry import PoseModel
 from stewart_drake.estimation.poses import Measurements
@@ -51,6 +52,11 @@ def corrections(
         inverted = table * np.where(np.arange(12) == 6 + leg, -1.0, 1.0)
         got, allowed = "readings that fit with the other sign", "angles with the sign of the guess's crank angle"
         yield inverted, f"{source}: crank_angle_{leg}", got, allowed
+    for at in range(0 if measurements.measured.all() else 3):
+        inverted = table * np.where(np.arange(12) == at, -1.0, 1.0)
+        got = "angles that fit with the other sign"
+        allowed = "R = Rz(yaw) Ry(pitch) Rx(roll), with z up; does the IMU count this angle the other way?"
+        yield inverted, f"{source}: pose_{AXES[at]}", got, allowed
 
 
 def _stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]:

@@ -62,6 +62,7 @@ FITS = {
     "all": KINDS,
 }
 """What can be fitted: kinds of parameters by a name; `none` keeps the guess, and fits frames alone."""
+KEPT, *CHOSEN = FITS
 OFFSET_PRIOR, GAIN_PRIOR = math.radians(2.0), 0.03
 """[rad], [-] standard deviations of homing offsets and servo gains about the guess, before anything is measured: hobby
 servos, with horns trimmed by eye. They decide where the data are weak; a tracker's data outweigh them."""

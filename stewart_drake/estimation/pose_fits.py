@@ -84,6 +84,11 @@ class ClosureFit(NamedTuple):
         return at
 
 
+def _flat(slopes: np.ndarray) -> np.ndarray:
+    """Slopes (..., k) as (m, k), even with k = 0."""
+    return slopes.reshape(math.prod(slopes.shape[:-1]), slopes.shape[-1])
+
+
 def _minimised(
     errors: _Function,
     slope: _Function,
@@ -102,8 +107,7 @@ def _minimised(
         return np.concatenate([errors(directions @ step).ravel(), more @ step])
 
     def all_slopes(step: np.ndarray) -> np.ndarray:
-        flat = np.asarray(slope(directions @ step) @ directions)
-        return np.concatenate([flat.reshape(math.prod(flat.shape[:-1]), len(step)), more])
+        return np.concatenate([_flat(slope(directions @ step) @ directions), more])
 
     if start.size == 0:
         fun = all_errors(start)
@@ -127,7 +131,7 @@ def fit_closures(
     observed, angles = measurements.marker, measurements.angles
     at = model.platform(nothing, observed)
     slope = model.whitening(nothing, at, angles, noise) @ model.tracker_slope(nothing, at, angles)
-    white, ways = (slope @ (size[:, None] * free)).reshape(-1, free.shape[1]), free
+    white, ways = _flat(slope @ (size[:, None] * free)), free
     free, unidentifiable = core.identifiable(white, ways, size, geometry.LARGEST_DEVIATION, geometry.PREFERENCE)
     directions, cranks = size[:, None] * free, float(guess.crank_lengths.max())
     root = np.linalg.inv(np.linalg.qr(white @ ways.T @ free, mode="r"))

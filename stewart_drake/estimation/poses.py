@@ -33,6 +33,8 @@ AMPLIFICATION = 1.3
 from the guess cannot be assembled. A hundred robots off by 1 mm and 1 mrad reached all of 60 planned poses."""
 _WAY = np.linspace(0.0, 2.0, 41)
 _PASSES, _DRAWS = 20, 20
+_ASSESSED = 100  # Poses at which the accuracy of poses is predicted.
+_LEVEL = 1e-6  # [rad] a planned 0, in a file.
 _GAIN = 1e-6
 
 
@@ -119,6 +121,17 @@ class Measurements(Readings):
             allowed = "measured poses; an instrument never gives the same numbers twice, but a level or a jig (--with)"
             raise ConfigurationError(self.source, got, allowed)
 
+    def refuse_other(self, name: str, robot: RobotParameters) -> None:
+        """Raises a `ConfigurationError` if the instrument of that name cannot have measured this."""
+        used = INSTRUMENTS[name]
+        if used.measured[3:].any() and not self.measured[3:].any():
+            allowed = f"what measures no positions, as {self.source} has none: {self.instrument}, or a level"
+            raise ConfigurationError("--with", name, allowed)
+        if not used.measured.all():
+            still = used.measured & [axis not in used.moves for axis in _AXES]
+            off = still & (np.abs(self.pose - robot.home_pose) > _LEVEL)
+            self.refuse(np.hstack([off, np.zeros_like(off)]), "the planned 0: in all rows the bubble is in the middle")
+
     @property
     def absent(self) -> np.ndarray:
         return np.isnan(self.table).all(axis=0) & (np.arange(12) < 6)
@@ -198,9 +211,10 @@ class PosePlan:
     random_half_width: np.ndarray  # The same of random poses.
     unidentifiable: tuple[str, ...]  # What these poses cannot determine, one sentence each.
     gain: float  # [-] ratio of standard deviations, in the geometric mean, of random poses to these.
+    error: tuple[float, float]  # [m], [rad] expected RMS errors of other poses, with the calibrated robot.
 
     def table(self) -> tuple[list[str], list[list[str]]]:
-        """Header and rows: the largest expected interval of the legs, for these poses and random ones, in mm, mrad."""
+        """Header and rows: the largest expected interval of the legs, for these poses and random ones, in mm, deg."""
         both = (
             geometry.by_leg(widths, display=True).max(axis=0) for widths in (self.half_width, self.random_half_width)
         )
@@ -248,14 +262,16 @@ def plan_poses(
     least = free.shape[1] // int(measured.sum()) + 1
     if not least <= count <= candidates // 2:
         raise ConfigurationError("--plan", count, f"a number of poses from {least} to {candidates // 2}")
-    pose = candidate_poses(robot, candidates, ReferenceLimits() if limits is None else limits, rng, instrument.moves)
+    limits = ReferenceLimits() if limits is None else limits
+    pose = candidate_poses(robot, candidates, limits, rng, instrument.moves)
     at, model = geometry.transform_of(pose), geometry.PoseModel(robot, measured=measured)
     angles, size = inverse_kinematics(robot, pose) / robot.servo_gains, geometry.scales(robot)
     ways = size[:, None] * free
     slope = model.tracker_slope(np.zeros(geometry.SIZE), at, angles)
     rows = model.whitening(np.zeros(geometry.SIZE), at, angles, noise) @ slope @ ways
     chosen = _exchange(rows, count)
-    covariances = [_covariance(rows[choice]) for choice in (chosen, *rng.choice(len(pose), (20, count)))]
+    prior = geometry.PRIOR @ ways
+    covariances = [_covariance(rows[choice], prior) for choice in (chosen, *rng.choice(len(pose), (20, count)))]
     widths = [1.96 * np.linalg.norm(ways @ np.linalg.cholesky(matrix), axis=1) for matrix in covariances]
     flat = rows[chosen].reshape(-1, free.shape[1])
     left, fixed = core.identifiable(flat, free, size, geometry.LARGEST_DEVIATION, geometry.PREFERENCE)
@@ -269,7 +285,19 @@ def plan_poses(
         np.median(widths[1:], axis=0),
         known.unidentifiable_sentences(),
         float(np.exp(np.mean(volume[1:]) - volume[0])),
+        _expected_error(
+            robot, candidate_poses(robot, _ASSESSED, limits, rng), ways @ np.linalg.cholesky(covariances[0])
+        ),
     )
+
+
+def _expected_error(robot: RobotParameters, pose: np.ndarray, spread: np.ndarray) -> tuple[float, float]:
+    """Expected RMS errors [m], [rad] of poses (n, 6) of P in B, with parameters off by `spread` (`SIZE`, k)."""
+    at, angles = geometry.transform_of(pose), inverse_kinematics(robot, pose) / robot.servo_gains
+    slope = geometry.PoseModel(robot).tracker_slope(np.zeros(geometry.SIZE), at, angles)[..., : geometry.OF_ROBOT]
+    off = (slope @ spread[: geometry.OF_ROBOT]).reshape(len(pose), 2, -1)
+    turn, place = np.sqrt(np.mean(np.sum(off**2, axis=-1), axis=0)).tolist()
+    return place, turn
 
 
 def candidate_poses(
@@ -336,7 +364,7 @@ def _exchange(rows: np.ndarray, count: int) -> np.ndarray:
     return np.array(chosen)
 
 
-def _covariance(rows: np.ndarray) -> np.ndarray:
-    """Covariance (k, k) of the directions, by the prior and rows (n, m, k)."""
-    flat = rows.reshape(-1, rows.shape[2])
+def _covariance(rows: np.ndarray, prior: np.ndarray | None = None) -> np.ndarray:
+    """Covariance (k, k) of the directions, by the size of the robot, rows (n, m, k), and rows (m, k) of a prior."""
+    flat = np.concatenate([rows.reshape(-1, rows.shape[2]), *([] if prior is None else [prior])])
     return np.linalg.inv(flat.T @ flat + np.eye(flat.shape[1]) / geometry.LARGEST_DEVIATION**2)
