@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from stewart_drake.base.tables import AXES
 from stewart_drake.estimation import geometry
 from stewart_drake.estimation.geometry import PoseModel
 from stewart_drake.estimation.poses import Measurements
@@ -36,6 +35,12 @@ def corrections(
     `off` (n,) [m] is what rods are off in each row with the best fit; None where there is none.
     """
     source, table = measurements.source, measurements.table
+    # Which of roll and pitch is inverted cannot be told where the mounting is unknown.
+    for at, name in () if measurements.measured.all() else ((1, "roll or pose_pitch"), (2, "yaw")):
+        inverted = table * np.where(np.arange(12) == at, -1.0, 1.0)
+        got = "angles that fit with the other sign"
+        allowed = "R = Rz(yaw) Ry(pitch) Rx(roll), with z up; does the IMU count this angle the other way?"
+        yield inverted, f"{source}: pose_{name}", got, allowed
     for key, columns, factor, units in _UNITS:
         scaled = table.copy()
         scaled[:, columns] *= factor
@@ -52,11 +57,6 @@ def corrections(
         inverted = table * np.where(np.arange(12) == 6 + leg, -1.0, 1.0)
         got, allowed = "readings that fit with the other sign", "angles with the sign of the guess's crank angle"
         yield inverted, f"{source}: crank_angle_{leg}", got, allowed
-    for at in range(0 if measurements.measured.all() else 3):
-        inverted = table * np.where(np.arange(12) == at, -1.0, 1.0)
-        got = "angles that fit with the other sign"
-        allowed = "R = Rz(yaw) Ry(pitch) Rx(roll), with z up; does the IMU count this angle the other way?"
-        yield inverted, f"{source}: pose_{AXES[at]}", got, allowed
 
 
 def _stray_rows(guess: RobotParameters, measurements: Measurements) -> list[int]:

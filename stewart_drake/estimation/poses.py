@@ -279,23 +279,23 @@ def plan_poses(
     known = core.Estimate(geometry.PARAMETERS, size, np.zeros(geometry.SIZE), size[:, None] * left, k, k, fixed)
     widths[0] = np.where(known.undetermined, np.inf, widths[0])
     volume = [np.linalg.slogdet(matrix)[1] / (2.0 * free.shape[1]) for matrix in covariances]
+    # What measures whole poses shows them in its own frame.
+    spread = (ways @ np.linalg.cholesky(covariances[0]))[: geometry.SIZE if measured.all() else geometry.OF_ROBOT]
     return PosePlan(
         Measurements(pose[chosen], angles[chosen], "planned poses"),
         widths[0],
         np.median(widths[1:], axis=0),
         known.unidentifiable_sentences(),
         float(np.exp(np.mean(volume[1:]) - volume[0])),
-        _expected_error(
-            robot, candidate_poses(robot, _ASSESSED, limits, rng), ways @ np.linalg.cholesky(covariances[0])
-        ),
+        _expected_error(robot, candidate_poses(robot, _ASSESSED, limits, rng), spread),
     )
 
 
 def _expected_error(robot: RobotParameters, pose: np.ndarray, spread: np.ndarray) -> tuple[float, float]:
-    """Expected RMS errors [m], [rad] of poses (n, 6) of P in B, with parameters off by `spread` (`SIZE`, k)."""
+    """Expected RMS errors [m], [rad] of n poses (n, 6), with the first m of `PARAMETERS` off by `spread` (m, k)."""
     at, angles = geometry.transform_of(pose), inverse_kinematics(robot, pose) / robot.servo_gains
-    slope = geometry.PoseModel(robot).tracker_slope(np.zeros(geometry.SIZE), at, angles)[..., : geometry.OF_ROBOT]
-    off = (slope @ spread[: geometry.OF_ROBOT]).reshape(len(pose), 2, -1)
+    slope = geometry.PoseModel(robot).tracker_slope(np.zeros(geometry.SIZE), at, angles)[..., : len(spread)]
+    off = (slope @ spread).reshape(len(pose), 2, -1)
     turn, place = np.sqrt(np.mean(np.sum(off**2, axis=-1), axis=0)).tolist()
     return place, turn
 
