@@ -262,7 +262,7 @@ def plan_poses(
     least = free.shape[1] // int(measured.sum()) + 1
     if not least <= count <= candidates // 2:
         raise ConfigurationError("--plan", count, f"a number of poses from {least} to {candidates // 2}")
-    limits = ReferenceLimits() if limits is None else limits
+    limits = limits or ReferenceLimits()
     pose = candidate_poses(robot, candidates, limits, rng, instrument.moves)
     at, model = geometry.transform_of(pose), geometry.PoseModel(robot, measured=measured)
     angles, size = inverse_kinematics(robot, pose) / robot.servo_gains, geometry.scales(robot)
@@ -270,16 +270,13 @@ def plan_poses(
     slope = model.tracker_slope(np.zeros(geometry.SIZE), at, angles)
     rows = model.whitening(np.zeros(geometry.SIZE), at, angles, noise) @ slope @ ways
     chosen = _exchange(rows, count)
-    prior = geometry.PRIOR @ ways
-    covariances = [_covariance(rows[choice], prior) for choice in (chosen, *rng.choice(len(pose), (20, count)))]
+    choices, prior = (chosen, *rng.choice(len(pose), (20, count))), geometry.PRIOR @ ways
+    covariances = [_covariance(rows[choice], prior) for choice in choices]
     widths = [1.96 * np.linalg.norm(ways @ np.linalg.cholesky(matrix), axis=1) for matrix in covariances]
-    flat = rows[chosen].reshape(-1, free.shape[1])
-    left, fixed = core.identifiable(flat, free, size, geometry.LARGEST_DEVIATION, geometry.PREFERENCE)
-    k = np.eye(left.shape[1])
-    known = core.Estimate(geometry.PARAMETERS, size, np.zeros(geometry.SIZE), size[:, None] * left, k, k, fixed)
+    known = _determined(rows[chosen], free, size)
     widths[0] = np.where(known.undetermined, np.inf, widths[0])
     volume = [np.linalg.slogdet(matrix)[1] / (2.0 * free.shape[1]) for matrix in covariances]
-    # What measures whole poses shows them in its own frame.
+    # What measures whole poses shows them in its frame.
     spread = (ways @ np.linalg.cholesky(covariances[0]))[: geometry.SIZE if measured.all() else geometry.OF_ROBOT]
     return PosePlan(
         Measurements(pose[chosen], angles[chosen], "planned poses"),
@@ -287,12 +284,23 @@ def plan_poses(
         np.median(widths[1:], axis=0),
         known.unidentifiable_sentences(),
         float(np.exp(np.mean(volume[1:]) - volume[0])),
-        _expected_error(robot, candidate_poses(robot, _ASSESSED, limits, rng), spread),
+        _expected_error(robot, limits, spread, rng),
     )
 
 
-def _expected_error(robot: RobotParameters, pose: np.ndarray, spread: np.ndarray) -> tuple[float, float]:
-    """Expected RMS errors [m], [rad] of n poses (n, 6), with the first m of `PARAMETERS` off by `spread` (m, k)."""
+def _determined(rows: np.ndarray, free: np.ndarray, size: np.ndarray) -> core.Estimate:
+    """An estimate of nothing, with what rows (n, m, k) along free directions (`SIZE`, k) do not determine."""
+    flat = rows.reshape(-1, free.shape[1])
+    left, fixed = core.identifiable(flat, free, size, geometry.LARGEST_DEVIATION, geometry.PREFERENCE)
+    k = np.eye(left.shape[1])
+    return core.Estimate(geometry.PARAMETERS, size, np.zeros(geometry.SIZE), size[:, None] * left, k, k, fixed)
+
+
+def _expected_error(
+    robot: RobotParameters, limits: ReferenceLimits, spread: np.ndarray, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Expected RMS errors [m], [rad] of other poses, with the first m of `PARAMETERS` off by `spread` (m, k)."""
+    pose = candidate_poses(robot, _ASSESSED, limits, rng)
     at, angles = geometry.transform_of(pose), inverse_kinematics(robot, pose) / robot.servo_gains
     slope = geometry.PoseModel(robot).tracker_slope(np.zeros(geometry.SIZE), at, angles)[..., : len(spread)]
     off = (slope @ spread).reshape(len(pose), 2, -1)
