@@ -257,12 +257,11 @@ def plan_poses(
         ConfigurationError: Fewer poses than determine all parameters, or more than candidates; home breaks a limit.
     """
     noise = instrument.noise if noise is None else noise
-    rng, measured = np.random.default_rng(seed), instrument.measured
+    rng, measured, limits = np.random.default_rng(seed), instrument.measured, limits or ReferenceLimits()
     free = geometry.free_directions(robot, known_frames, hold, measured)
     least = free.shape[1] // int(measured.sum()) + 1
     if not least <= count <= candidates // 2:
         raise ConfigurationError("--plan", count, f"a number of poses from {least} to {candidates // 2}")
-    limits = limits or ReferenceLimits()
     pose = candidate_poses(robot, candidates, limits, rng, instrument.moves)
     at, model = geometry.transform_of(pose), geometry.PoseModel(robot, measured=measured)
     angles, size = inverse_kinematics(robot, pose) / robot.servo_gains, geometry.scales(robot)
