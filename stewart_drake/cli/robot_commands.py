@@ -201,7 +201,7 @@ def write_mjcf(scenario: Scenario) -> str:
     ),
     fit=opt.option(
         "Estimate homing offsets, with servo gains (servos), or geometry, with offsets [default: chosen by the data].",
-        click.Choice(tuple(geometry.FITS)),
+        click.Choice(geometry.CHOSEN),
     ),
     example="limits.clearance=0.01",
 )
@@ -243,6 +243,8 @@ def calibrate(
     noise = MeasurementNoise(**{**used.noise.to_dict(), **{key: of for key, of in given.items() if of is not None}})
     known_frames = tuple({*known_frames, *used.known_frames})
     guess = load_robot(robot)
+    if instrument is not None and poses is not None:
+        poses.refuse_other(instrument, guess)
     if plan is not None:
         hold = tuple({*hold, *geometry.KINDS} - {*geometry.FITS[fit or used.fit]} | {*hold})
         limits = load_scenario("paper_fig7", [f"robot={json.dumps(robot)}", *overrides]).limits
@@ -260,7 +262,10 @@ def calibrate(
             header, rows = result.choice_table()
             print_table("what to fit: the least Akaike information criterion (AIC) is chosen", rows, header)
         header, rows = result.table()
-        print_table("change from the guess, 95 % interval", rows, header)
+        if rows:
+            print_table("change from the guess, 95 % interval", rows, header)
+        for warning in result.warnings():
+            print_error(f"warning: {warning}")
 
 
 def _write_plan(
@@ -281,6 +286,8 @@ def _write_plan(
     write_text(out, planned.targets.only(instrument.measured).to_csv())
     header, rows = planned.table()
     print_table(f"expected 95 % intervals with {count} poses, largest of the legs, +-", rows, header)
+    place, turn = planned.error
+    print_line(f"expected error of other poses (RMS): {1e3 * place:.2g} mm, {math.degrees(turn):.2g} deg")
     for line in planned.unidentifiable:
         print_line(f"not identifiable by these poses: {line}")
 
