@@ -442,11 +442,14 @@ def test_what_a_board_cannot_do_is_one_line(changes, board, message, tmp_path):
 
 
 def test_a_controller_that_needs_readings_leaves_poses_to_the_computer(tmp_path, call):
-    status, output, _ = call(
+    status, output, error = call(
         "export", "hobby_servos", "--set", "adaptation=regression", "--sketch", str(tmp_path / "it"), "--board", "sts"
     )
     assert status == 0
     assert "no poses: its controller learns" in output
+    home = np.degrees(inverse_kinematics(load_robot("servo_hexapod"), load_robot("servo_hexapod").home_pose))
+    assert all(f" {angle + 0.0:.1f} " in output for angle in home)
+    assert "warning: the robot has no stops at legs 0, 1, 2, 3, 4, 5" in error
     assert not (tmp_path / "it" / "pose.c").exists()
     assert "SERVOS_POSES 0 /* whether" in (tmp_path / "it" / "servos.h").read_text()
 
