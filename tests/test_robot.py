@@ -285,7 +285,7 @@ def swapped(one, other):
         (lambda: RobotParameters.from_table(POINTS * [1, 1, 1, -1, 1, 1], **TOWARDS), r"is an axis of P mirrored\?"),
         (lambda: RobotParameters.from_table(swapped(2, 3), **LEG), r"legs\.2\.platform_joint.* legs 2 and 3 swapped\?"),
         (lambda: RobotParameters.from_table(swapped(4, 5), **LEG), r"legs\.4\.platform_joint.* legs 4 and 5 swapped\?"),
-        (lambda: RobotParameters.from_table(POINTS * np.where(FAR, 1e6, 1.0), **LEG), r"leg 3.* the decimal point right"),
+        (lambda: RobotParameters.from_table(POINTS * np.where(FAR, 1e6, 1.0), **LEG), r"leg 3.* decimal point right\?"),
         (lambda: RobotParameters(rod_length=404.0), r"robot\.rod_length: expected a length.*in millimetres\?"),
         (lambda: RobotParameters(home_height=300.0), r"robot\.home_height: expected a height.*in millimetres\?"),
         (lambda: RobotParameters(legs=[{"platform_joint": (110, 0, 0)}, *[{}] * 5]), r"legs\.0\..*at most 30"),

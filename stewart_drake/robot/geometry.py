@@ -45,10 +45,10 @@ def check_order(shafts: np.ndarray, joints: np.ndarray) -> None:
         raise ConfigurationError("robot.legs.0.platform_joint", joints[0].tolist(), allowed)
     if wrong.any():
         one, other = sorted((int(order[wrong][0]), int(following[wrong][0])))
-        allowed, pair = f"a joint [m] that is not beyond leg {other}'s", (one, other)
+        allowed, swapped = f"a joint [m] that is not beyond leg {other}'s", [(one, other)]
         if doubts(shafts, joints):  # Legs have a pattern: joints are swapped if an exchange restores it.
-            pair = next((pair for pair in combinations(range(LEG_COUNT), 2) if _restored(shafts, joints, pair)), ())
-        allowed += "; are the joints of legs {} and {} swapped?".format(*pair) if pair else ""
+            swapped = [pair for pair in combinations(range(LEG_COUNT), 2) if _restored(shafts, joints, pair)]
+        allowed += "; are the joints of legs {} and {} swapped?".format(*swapped[0]) if swapped else ""
         raise ConfigurationError(f"robot.legs.{one}.platform_joint", joints[one].tolist(), allowed)
 
 

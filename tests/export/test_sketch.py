@@ -379,7 +379,10 @@ void TwoWire::begin() {}
 void TwoWire::setClock(uint32_t) {}
 void TwoWire::beginTransmission(uint8_t) { used = 0; }
 size_t TwoWire::write(uint8_t byte) { sent[used++] = byte; return 1; }
-size_t TwoWire::write(const uint8_t *bytes, size_t size) { for (size_t k = 0; k < size; k++) write(bytes[k]); return size; }
+size_t TwoWire::write(const uint8_t *bytes, size_t size) {
+  for (size_t k = 0; k < size; k++) write(bytes[k]);
+  return size;
+}
 uint8_t TwoWire::endTransmission() { return 0; }
 """
 
