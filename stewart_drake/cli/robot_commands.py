@@ -24,7 +24,7 @@ from stewart_drake.robot.leg_table import Cranks, FromTable, Home, Unit
 from stewart_drake.robot.leg_table import from_table as read_table
 from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
 from stewart_drake.runs.outputs import check_ending, prepare_file, prepared_file, write_text
-from stewart_drake.scenario.limits import ReferenceLimits
+from stewart_drake.scenario.limits import ReferenceLimits, measure_poses
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from stewart_drake.estimation.servos import ServoIdentification
 
 _PASSES = 16  # Averaged renderings of a picture, under different lights.
+_POOR = 0.1  # [-] Least conditioning at home without a warning.
 _NOT_IN_TABLES = ("platform_mass", "rod_mass", "crank_mass", "rotor_inertia", "effort_limit")
 
 
@@ -99,6 +100,8 @@ def from_table(
     read = read_table(table, unit, cranks, parameters, place)
     if read.pairs:
         print_line(f"pairs of motors: legs {', '.join(f'{one} and {other}' for one, other in read.pairs)}")
+    if read.outwards:
+        print_line("level cranks point outwards from the centre; for others give --cranks or a column crank_deg")
     _save_read(read, parameters, about, out)
 
 
@@ -132,6 +135,11 @@ def _save_read(read: FromTable, given: Document, about: str, out: Path) -> None:
     if read.warning:
         print_error(f"warning: {read.warning}")
     robot = RobotParameters(**read.parameters)
+    (home,) = measure_poses(robot, robot.home_pose[None])
+    if home.clearance < 0.0:
+        print_error(f"warning: links of {1e3 * robot.link_radius:.3g} mm radius collide at home: is link_radius right?")
+    if home.conditioning < _POOR:
+        print_error(f"warning: home is near a singularity, conditioning {home.conditioning:.3f}: move the joints")
     save_robot(robot, out, about)
     size = f"shafts {1e3 * robot.base_radius:.4g} mm from the middle"
     print_line(f"robot in {out}: home at Z = {robot.home_height:.4g} m, {size}")
@@ -153,8 +161,11 @@ def _model_options(write: Callable[[Scenario], str]) -> Callable[..., None]:
 
     def model(file: Path, robot: str | None, scenario: str, overrides: tuple[str, ...], trust_code: bool) -> None:
         named = [] if robot is None else [f"robot={json.dumps(robot)}"]
-        write_text(file, write(load_scenario(scenario, (*named, *overrides), trust_code)))
+        loaded = load_scenario(scenario, (*named, *overrides), trust_code)
+        write_text(file, write(loaded))
         print_line(f"robot in {file}")
+        if (loaded.robot.servo_gains != 1.0).any():
+            print_error(f"warning: {file} has no servo_gain of the legs: keep the robot's YAML file")
 
     model.__doc__ = write.__doc__
     return model
