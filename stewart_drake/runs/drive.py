@@ -23,7 +23,7 @@ from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinem
 from stewart_drake.references.paced import RAMP, PacedMotion
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety import LEVELS, standstill_text
-from stewart_drake.safety.stream import StreamReference, Targets
+from stewart_drake.safety.stream import StreamReference, Targets, UdpTargets
 from stewart_drake.scenario.controller import Controller
 from stewart_drake.scenario.scenario import Scenario
 
@@ -262,9 +262,12 @@ class Drive:
         if ended_by is not None and not self._rows:
             raise ended_by
         fields = self._rows.log_fields(ended_by, safety=self._controller.first_trip, wall_time=self._wall_time)
-        if (odd := self.odd_tick) is not None:
-            tick = {"name": "machine_tick", "time": self.time, "number": self._clock.tick, "text": odd}
-            fields["warnings"] = (*fields["warnings"], tick)
+        source, odd = self._motion.source, self.odd_tick
+        heard = source.warning if isinstance(source, UdpTargets) else None
+        for name, found in (("machine_tick", odd and (self._clock.tick, odd)), ("targets", heard)):
+            if found:
+                warning = {"name": name, "time": self.time, "number": float(found[0]), "text": found[1]}
+                fields["warnings"] = (*fields["warnings"], warning)
         return SimulationLog(**fields)
 
     def go(self, progress: Callable[[float], None] | None = None) -> RunFailure | KeyboardInterrupt | None:

@@ -1,5 +1,6 @@
 """References of kind stream: targets from outside, kept within the limits."""
 
+import re
 import socket
 
 import numpy as np
@@ -117,10 +118,12 @@ def test_a_simulation_plays_the_file_and_a_controller_takes_targets_from_python(
 )
 def test_lines_are_read_by_their_columns(options):
     reference = Scenario(reference={"kind": "stream", "relative": True, **options}).reference
-    words = "1 2 3 10 20 30 7" if options else "10,20;30, 1 2 3"
+    words = "1 2 3 10 20 30 7" if options else " 10; 20,0;30;1;2;3;\r\n"
     target = reference.home + [*np.radians([10.0, 20.0, 30.0]), 0.001, 0.002, 0.003]
     np.testing.assert_allclose(reference.target_of(words.encode()), target)
-    for wrong in (b"", b"1,2,3", b"a,b,c,d,e,f", b"\xff\x00", b"1,2,3,4,5,"):
+    wrong_lines = [b"", b"1,2,3", b"a,b,c,d,e,f", b"\xff\x00", b"1,2,3,4,5,", b"1,,2,3,4,5,6", b"10,20;30,1 2 3"]
+    wrong_lines += [b"nan,0,0,0,0,0", b"1 2 3 4 5 6 7 8", b"1,2,3,4,5,6" if options else b"0,10,5,20,0,0,5"]
+    for wrong in wrong_lines:
         assert np.isnan(reference.target_of(wrong)).all()
 
 
@@ -161,11 +164,16 @@ def test_a_drive_follows_targets_over_udp_at_50_hz():
 
     machine = Sender()
     start = connected(SERVOS, machine)
-    source = start.motion._motion._source
-    port = source.port
+    source = start.motion.source
+    port = int(source.address.split(":")[1])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         log = Drive(SERVOS, machine, start).run()
     assert log.status == "completed"
+    (warning,) = log.warnings
+    assert re.fullmatch(
+        r"\d+ of \d+ datagrams are not 6 finite numbers and were dropped, the last '(garbage|nan,0,0,0,0,0)'",
+        warning["text"],
+    )
     assert np.ptp(log["reference"][:, 2]) > 0.1
     assert np.ptp(log["reference"][:, 1]) > 0.1
     pose, still = log["reference"], np.zeros_like(log["reference"])
@@ -173,6 +181,13 @@ def test_a_drive_follows_targets_over_udp_at_50_hz():
     assert all((values >= 0.0).all() for values in margins.values())
     with pytest.raises(OSError, match="Bad file descriptor"):
         source._line.getsockname()
+
+
+def test_a_stream_that_nobody_sends_is_a_warning():
+    log = Drive(SERVOS, machine := Servos(), connected(SERVOS, machine, 0.2)).run()
+    assert log.status == "completed"
+    assert [warning["name"] for warning in log.warnings] == ["targets"]
+    assert log.warnings[0]["text"].startswith("no target came at 127.0.0.1:")
 
 
 def test_a_drive_follows_targets_from_python():
