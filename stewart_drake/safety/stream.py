@@ -23,6 +23,7 @@ from stewart_drake.safety.stream_laws import ROWS, StreamParams, StreamState, st
 Targets = Callable[[float], np.ndarray]
 """The newest target (6,) [rad, m] at a time [s] of the motion; NaN for none."""
 NO_TARGET = np.full(6, np.nan)
+_SHARE = 0.9  # Of `safety.workspace`, in which targets are put: readings and their prediction are also off.
 _MOST_DATAGRAMS, _LONGEST = 1000, 1000  # Read at a time; bytes.
 
 
@@ -30,7 +31,7 @@ class StreamReference(Section, key="reference"):
     """Target poses from outside, as they come: over UDP, from Python, or from a file.
 
     A filter follows the newest target with bounded speed and acceleration, and never leaves `limits`, whatever is sent:
-    it rests at the nearest pose that it can take. It begins at home, and holds the last target when none comes. What is
+    it rests at the nearest pose that it can take. Targets outside of nine tenths of `safety.workspace` are put there. It begins at home, and holds the last target when none comes. What is
     no pose is dropped. `drive` listens at `udp`; a simulation does not, and plays the file, or holds home without one.
     """
 
@@ -58,7 +59,7 @@ class StreamReference(Section, key="reference"):
     reserve: Annotated[Positive, Field(le=0.1)] = 0.005
     """[-] distance that is kept from every limit, in its unit or, for clearance, speeds and torques, as a share of the
     robot's size or of the limit."""
-    _setup: tuple[np.ndarray, Callable[[], Space]] | None = PrivateAttr(None)
+    _setup: tuple[np.ndarray, Callable[[], Space], tuple[float, float]] | None = PrivateAttr(None)
 
     def rules(self) -> None:
         """Columns are those of a pose, the address has a port."""
@@ -66,16 +67,16 @@ class StreamReference(Section, key="reference"):
         if self.udp is not None:
             address_of(self.udp)
 
-    def bound(self, home: np.ndarray, space: Callable[[], Space]) -> Self:
-        """The reference of a robot with a home (6,) and its limits."""
+    def bound(self, home: np.ndarray, space: Callable[[], Space], workspace: tuple[float, float] | None = None) -> Self:
+        """The reference of a robot with a home (6,), its limits, and `safety.workspace`."""
         made = copy.copy(self)
         for name in ("params", "_recorded", "_targets"):
             made.__dict__.pop(name, None)
-        made._setup = home, space
+        made._setup = home, space, workspace or (np.inf, np.inf)
         return made
 
     @property
-    def _robot(self) -> tuple[np.ndarray, Callable[[], Space]]:
+    def _robot(self) -> tuple[np.ndarray, Callable[[], Space], tuple[float, float]]:
         if self._setup is None:
             raise ConfigurationError("reference.kind", "stream", "another kind within a sum or an adjusted motion")
         return self._setup
@@ -94,7 +95,9 @@ class StreamReference(Section, key="reference"):
             allowed = f"less than the least relative margin of the robot at home, {least:.3g}"
             raise ConfigurationError("reference.reserve", self.reserve, allowed)
         bounds = {"speed": [self.turn_speed, self.speed], "acceleration": [self.turn_acceleration, self.acceleration]}
-        return StreamParams.new(space=space, period=self.period, reserve=self.reserve, **bounds)
+        workspace = _SHARE * np.array(self._robot[2])
+        numbers = {"period": self.period, "reserve": self.reserve, "home": home, "workspace": workspace}
+        return StreamParams.new(space=space, **numbers, **bounds)
 
     def part(self, ahead: float) -> Part:
         """The filter as a part of a loop, from the signal `target` (6,) to the reference now and `ahead` [s]."""

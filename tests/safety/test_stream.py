@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lagging_servos import Servos
 from random_robots import random_robot
+from scipy.spatial.transform import Rotation
 
 from stewart_drake import ConfigurationError, Controller, Reach, Scenario, load_robot, load_scenario
 from stewart_drake.runs.drive import Drive, connected
@@ -77,6 +78,19 @@ def test_it_rests_at_the_target_or_near_the_nearest_pose(scenario):
         assert np.abs(rate).max() < 1e-3
         assert end.distance <= best.distance * 1.1 + 1e-9
         assert np.linalg.norm((pose - end.pose) * np.repeat([length, 1.0], 3)) < 0.1 * length
+
+
+@pytest.mark.parametrize("offset", [[0.0, 0.0, 0.0, 0.0, 0.045, 0.0], [0.6, -0.5, 0.6, 0.01, 0.0, 0.03]])
+def test_it_stays_in_the_workspace_of_the_safety_layer(offset):
+    safe = {"workspace": [0.2, 0.012]}
+    scenario = Scenario(robot="reachy_mini", reference={"kind": "stream"}, safety=safe)
+    home = scenario.robot.home_pose
+    pose = playing(scenario, [home + offset], 1.0).evaluate(np.arange(0.0, 4.0, 0.02))[0]
+    turns = [Rotation.from_euler("xyz", row[:3]).magnitude() for row in pose]
+    shifts = np.linalg.norm(pose[:, 3:] - home[3:], axis=1)
+    assert max(turns) < 0.18 * 1.01
+    assert max(shifts) < 0.0108 * 1.01
+    assert max(turns[-1] / 0.2, shifts[-1] / 0.012) > 0.8
 
 
 def test_silence_and_what_is_no_pose_hold_the_last_target():
