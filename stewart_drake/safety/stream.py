@@ -31,8 +31,9 @@ class StreamReference(Section, key="reference"):
     """Target poses from outside, as they come: over UDP, from Python, or from a file.
 
     A filter follows the newest target with bounded speed and acceleration, and never leaves `limits`, whatever is sent:
-    it rests at the nearest pose that it can take. Targets outside of nine tenths of `safety.workspace` are put there. It begins at home, and holds the last target when none comes. What is
-    no pose is dropped. `drive` listens at `udp`; a simulation does not, and plays the file, or holds home without one.
+    it rests at the nearest pose that it can take. Targets outside of nine tenths of `safety.workspace` are moved into
+    it, towards home. It begins at home, and holds the last target when none comes. What is no pose is dropped. `drive`
+    listens at `udp`; a simulation does not, and plays the file, or holds home without one.
     """
 
     kind: Literal["stream"] = "stream"

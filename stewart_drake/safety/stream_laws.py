@@ -113,7 +113,7 @@ def _is_safe(params: StreamParams, row: Vec18, probe: Probe) -> bool:
 @njit
 def _near_home(params: StreamParams, pose: Vec6) -> None:
     """Moves a pose (6,) towards home, into the workspace."""
-    way, share = np.empty(6), np.ones(2)
+    way, share = np.empty(6), np.empty(2)
     for _ in range(_TURNS):
         difference(1.0, params.home[:], pose, way)
         for part in range(2):
@@ -122,7 +122,7 @@ def _near_home(params: StreamParams, pose: Vec6) -> None:
         if share[0] == 1.0 and share[1] == 1.0:
             return
         for k in range(6):
-            pose[k] = params.home[k] + share[k // 3] * (pose[k] - params.home[k])
+            pose[k] = params.home[k] + (share[0] if k < 3 else share[1]) * (pose[k] - params.home[k])
 
 
 @njit

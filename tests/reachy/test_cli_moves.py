@@ -78,6 +78,7 @@ def test_moves_are_checked_fixed_and_shaped(call, folder):
     ("arguments", "said"),
     [
         ("check nowhere.json", "No such file"),
+        ("check simple_nod", "or for a dance dance:simple_nod, got"),
         ("check given/nod.json --shaped x", "No such option"),
         ("export given/nod.json --shaped reachy_nod", "motors that take angles"),
         ("fix given/nod.json --out given/nod.json", "is a file"),
@@ -89,6 +90,15 @@ def test_what_is_wrong_is_a_line(call, arguments, said):
     assert status == 2
     assert said in err
     assert len(err.splitlines()) == 1
+
+
+def test_a_gap_in_a_recording_is_named(call, folder):
+    move = read_move(folder / "nod.json")
+    late = move._replace(time=move.time + np.where(move.time > 0.5, 0.7, 0.0))
+    (folder / "late.json").write_bytes(move_json(late))
+    for name in ("nod", "late"):
+        out = call("moves", "check", folder / f"{name}.json")[1]
+        assert ("late: no rows for 0.71 s after 0.5 s, where the motion is a guess" in out) == (name == "late")
 
 
 @pytest.mark.parametrize("what", ["fix", "export"])
