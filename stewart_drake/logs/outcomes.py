@@ -250,7 +250,7 @@ class RunRows:
 
         A stream may be quiet.
         """
-        if self.scenario.reference.kind == "stream":
+        if getattr(self.scenario.reference, "kind", None) == "stream":
             return None
         moving, duration = np.abs(self["reference_rate"]).max(axis=1), self.scenario.duration
         end = getattr(self.scenario.reference, "end", 0.0)
