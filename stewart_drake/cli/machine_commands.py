@@ -95,6 +95,7 @@ def drive(
 def _print_plan(loaded: Scenario, url: str, machine: Machine, start: Start) -> None:
     """Prints the pose of a machine and its approach to the motion."""
     from stewart_drake.runs.drive import measured_home
+    from stewart_drake.safety.stream import UdpTargets
 
     model = loaded.controller_model
     home = measured_home(model.robot, start.angles, model.home).tolist()
@@ -106,6 +107,8 @@ def _print_plan(loaded: Scenario, url: str, machine: Machine, start: Start) -> N
         ("approach to the motion", f"{start.motion.approach:.1f} s"),
         ("duration until rest", f"{start.duration:.1f} s"),
     ]
+    if isinstance(source := start.motion.source, UdpTargets):
+        rows.append(("listens for targets at", source.address))
     print_table(f"{loaded.name} on {url}", rows)
     joints = None if model.friction is None else model.friction.joints
     if url == "sim:" and joints is not None and not loaded.plant.joints_rub:
