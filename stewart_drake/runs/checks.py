@@ -106,7 +106,7 @@ def _remedies(scenario: Scenario, report: feasibility.FeasibilityReport, limit: 
         slower = times / speed
         signals = adjusted(motion, scale, 1.0 / speed).evaluate(slower)
         return feasibility.check_motion(
-            scenario.robot, scenario.limits, slower, *signals, scenario.gravity_in_base
+            scenario.robot, scenario.limits, slower, *signals, scenario.gravity_at(slower)
         ).feasible
 
     with user_code(scenario), np.errstate(all="ignore"):
@@ -148,11 +148,13 @@ def _check_rates(scenario: Scenario) -> None:
 
 
 def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:
-    motion = (scenario.robot, scenario.limits, scenario.asked, scenario.duration, scenario.gravity_in_base)
+    """Margins to the limits along the motion, with that of the base."""
+    time = feasibility.checked_times(scenario.duration)
     try:
         # Overflows are reported as a violated limit or as a signal that is not finite.
         with user_code(scenario), np.errstate(all="ignore"):
-            return feasibility.check_reference(*motion)
+            motion, gravity = scenario.asked.evaluate(time), scenario.gravity_at(time)
+            return feasibility.check_motion(scenario.robot, scenario.limits, time, *motion, gravity)
     except ControllerError as error:
         if isinstance(error.__cause__, ConfigurationError):
             raise error.__cause__ from None
@@ -180,8 +182,12 @@ def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
     if not names:
         return feasibility.FeasibilityReport({}, None)
     with user_code(scenario), np.errstate(all="ignore"), suppress(RunFailure, np.linalg.LinAlgError):
-        pose, rate, acceleration = scenario.asked.evaluate(time)
-        torque = inverse_dynamics(plant.loaded(robot), pose, rate, acceleration, scenario.gravity_in_base)
+        pose, rate, acceleration = motion = scenario.asked.evaluate(time)
+        loaded, gravity = plant.loaded(robot), scenario.gravity_at(time)
+        if isinstance(gravity, np.ndarray):
+            torque = np.array([inverse_dynamics(loaded, *row) for row in zip(*motion, gravity, strict=True)])
+        else:
+            torque = inverse_dynamics(loaded, *motion, gravity)
         to_cranks, wrench = twist_jacobian(robot, pose), total_wrench(pushes, time)
         torque -= np.linalg.solve(np.swapaxes(to_cranks, -1, -2), wrench[..., None])[..., 0]
         speed = (to_cranks @ pose_rate_to_twist(pose, rate)[..., None])[..., 0]
