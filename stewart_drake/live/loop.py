@@ -17,7 +17,7 @@ from stewart_drake.hardware.moving_base import base_signal
 from stewart_drake.live.instrument import Push, Recorder, Spring, TestMotion, TurningSpring
 from stewart_drake.live.steering import GOVERNOR_PERIOD, HandReference, Reached
 from stewart_drake.plant.plant_options import ANGLES
-from stewart_drake.safety import MONITORS, Stillness
+from stewart_drake.safety import MONITORS, RAMP, Stillness
 from stewart_drake.safety.limits import LIMITS
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.scenario.stepped_loop import SteppedLoop
@@ -108,6 +108,7 @@ class LiveLoop:
                 self._advance_one()
         except (Exception, SystemExit) as error:  # The page stays open, so that a person can reset.
             failure = failure_of(error, self.scenario)
+            self._give_up_test()
             self.cause, self.ended = cause_of(failure, self.scenario, self.time), one_line(failure)
 
     def _advance_one(self) -> None:
@@ -118,6 +119,8 @@ class LiveLoop:
         if self.steps % self._tick == 0 and self.scenario.safety is None:
             runner = self._loop.runner
             self.stillness.look(runner.signal("reading" if "reading" in runner.places else "plant_pose"), self.wanted)
+        if (safety := self.logged("safety")) is not None and safety[0] >= RAMP:
+            self._give_up_test()
         self._loop.move()
         self.reference.advance(self.time)
         if self.test is not None:
@@ -125,6 +128,10 @@ class LiveLoop:
             self.test.watch(self.time, self._loop.pose, float(rest[self.test.axis]))
         if self.steps % self.record.every == 0:
             self.record.add(self.time, self.wanted, self._loop.pose, self._loop.torque, self._loop.measured[ANGLES])
+
+    def _give_up_test(self) -> None:
+        if self.test is not None:
+            self.test.give_up()
 
     @property
     def scenario(self) -> Scenario:
