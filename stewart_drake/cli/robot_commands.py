@@ -173,7 +173,7 @@ def write_sdf(scenario: Scenario) -> str:
     """Uses the scenario's plant.rod_joint and limits.joint_swing."""
     from stewart_drake.plant.model_files import sdf_text
 
-    _note_base(scenario, "gravity, tilt and motion of the base are")
+    _note_base(scenario, "tilt and motion of the base are")
     return sdf_text(scenario.robot, rod_joint=scenario.plant.rod_joint, joint_swing=scenario.limits.joint_swing)
 
 

@@ -326,7 +326,7 @@ async function begin() {
     if (last.session !== about.session) location.reload();
     heard = performance.now();
     gone("");
-    at("clock").textContent = `${last.time.toFixed(1)} s`;
+    at("clock").textContent = `${last.time.toFixed(last.paused ? 3 : 1)} s`;
     at("factor").textContent = last.paused ? "paused" : `× ${last.factor.toFixed(2)}`;
     at("pause").textContent = last.paused ? "Run" : "Pause";
     at("message").textContent = last.ended ? `ended: ${last.ended}${about.machine ? "" : " (Reset begins anew)"}` : last.message;

@@ -66,7 +66,7 @@ def check_scenario(scenario: Scenario) -> None:
             report.raise_if_infeasible()
         except InfeasibleReferenceError as error:
             hints = _unit_hints(scenario.reference) if isinstance(scenario.reference, Section) else []
-            hints = hints or _length_hint(scenario)
+            hints = hints or _length_hint(scenario) or _base_hint(scenario)
             hints = hints or _remedies(scenario, report, error.limit)
             error.allowed = "; ".join([error.allowed, *hints])
             raise
@@ -94,6 +94,16 @@ def _length_hint(scenario: Scenario) -> list[str]:
     pose, _, _ = scenario.asked.evaluate(np.linspace(0.0, scenario.duration, 101))
     farthest = float(np.abs(pose[:, 3:]).max())
     return [f"the motion goes to {farthest:.4g} m: are its lengths in mm?"] if farthest > _LARGEST["m"] else []
+
+
+def _base_hint(scenario: Scenario) -> list[str]:
+    """A hint where only the base is in the way of a platform that is kept level."""
+    if (
+        scenario.base_compensation != "level"
+        or not motion_report(scenario.replace({"base_compensation": "none"})).feasible
+    ):
+        return []
+    return ["base.motion is too large for a platform kept level (base_compensation); without that it is feasible"]
 
 
 def _remedies(scenario: Scenario, report: feasibility.FeasibilityReport, limit: str) -> list[str]:
