@@ -192,7 +192,7 @@ def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
     if not names:
         return feasibility.FeasibilityReport({}, None)
     with user_code(scenario), np.errstate(all="ignore"), suppress(RunFailure, np.linalg.LinAlgError):
-        pose, rate, acceleration = motion = scenario.asked.evaluate(time)
+        pose, rate, _ = motion = scenario.asked.evaluate(time)
         loaded, gravity = plant.loaded(robot), scenario.gravity_at(time)
         if isinstance(gravity, np.ndarray):
             torque = np.array([inverse_dynamics(loaded, *row) for row in zip(*motion, gravity, strict=True)])
