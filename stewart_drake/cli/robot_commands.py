@@ -171,12 +171,20 @@ def _model_options(write: Callable[[Scenario], str]) -> Callable[..., None]:
     return model
 
 
+def _note_base(scenario: Scenario, what: str) -> None:
+    """Tells what of a scenario's base a model file leaves out."""
+    tilted = any(scenario.base.orientation) and "tilt" in what
+    if tilted or scenario.base.motion is not None:
+        print_line(f"the {what} left out: the file has a robot on a base at rest")
+
+
 @command("write-sdf", **_MODEL)
 @_model_options
 def write_sdf(scenario: Scenario) -> str:
     """Uses the scenario's plant.rod_joint and limits.joint_swing."""
     from stewart_drake.plant.model_files import sdf_text
 
+    _note_base(scenario, "tilt and motion of the base are")
     return sdf_text(scenario.robot, rod_joint=scenario.plant.rod_joint, joint_swing=scenario.limits.joint_swing)
 
 
@@ -190,6 +198,7 @@ def write_mjcf(scenario: Scenario) -> str:
     """
     from stewart_drake.plant.model_files import mjcf_text
 
+    _note_base(scenario, "motion of the base is")
     return mjcf_text(scenario.robot, scenario.gravity_in_base, scenario.plant, joint_swing=scenario.limits.joint_swing)
 
 

@@ -142,6 +142,12 @@ class Scenario(ControlOptions):
         """Those of the simulation."""
         return self.gravity, self.base.orientation
 
+    def gravity_at(self, times: np.ndarray) -> FixedGravity | np.ndarray:
+        """Gravity in B, or where the base moves what its inertial unit reads (n, 9) at times (n,) [s]."""
+        if self.base.motion is None:
+            return self.gravity_in_base
+        return base_signal(self.base.motion, self.gravity_in_base, times)[:, :9]
+
     @property
     def gravity_in_base(self) -> FixedGravity:
         """[m/s^2] gravity in B, at its mean position: a number along -z, or a vector."""
