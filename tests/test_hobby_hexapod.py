@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from conftest import environment
 
-from stewart_drake import load_robot, load_scenario
+from stewart_drake import RobotParameters, inverse_kinematics, load_robot, load_scenario
 from stewart_drake.mechanics.kinematics import forward_kinematics
 
 PAGE = (Path(__file__).parents[1] / "docs" / "hobby_hexapod.md").read_text(encoding="utf-8")
@@ -28,6 +28,24 @@ def pose_of(row, robot):
     """The pose at a row of pulses [us]; the page's servos turn 180 deg from 500 to 2500 us, three of them downwards."""
     angles = (row[1:] - 1500.0) * np.array([1, -1, 1, -1, 1, -1]) * np.pi / 2000.0
     return forward_kinematics(robot, angles, robot.home_pose)
+
+
+def test_a_perfect_servo_has_a_gain_of_one_by_the_page(tmp_path):
+    """The angle that a crank turns in the step of `gain`, and where horns are at home."""
+    (tmp_path / "points.csv").write_text(CSV)
+    raised = float(re.search(r"reference=\{kind: hold, pose: \[0, 0, 0, 0, 0, ([\d.]+)\]", PAGE)[1])
+    table = {"unit": "mm", "cranks": "towards", "crank_length": 30, "rod_length": 180}
+    level, upright = (
+        RobotParameters.from_table(tmp_path / "points.csv", home=home, **table) for home in ("level", "perpendicular")
+    )
+    home = np.degrees(inverse_kinematics(level, level.home_pose))
+    turned = np.degrees(inverse_kinematics(level, [0, 0, 0, 0, 0, raised])) - home
+    (said,) = {float(angle) for angle in re.findall(r"(?:up by|over) ([\d.]+) deg", PAGE)}
+    assert turned == pytest.approx(said, rel=2e-3)
+    assert home == pytest.approx(0.0, abs=0.2)
+    above = float(re.search(r"([\d.]+) deg above level", PAGE)[1])
+    assert np.degrees(inverse_kinematics(upright, upright.home_pose)) == pytest.approx(above, abs=0.2)
+    assert all("controller.feedforward=none" in line for line in COMMANDS if "reference=" in line)
 
 
 @pytest.mark.long

@@ -148,6 +148,7 @@ SPOILT = {
     "a doubled row": (lambda rows: rows[[0, 1, 2, 2, 4, 5]], {}, r"shaft of leg 3: .* one row twice"),
     "a missing row": (lambda rows: rows[[0, 1, 2, 4, 5]], {}, r"its shaft at x, y = (\S+), (\S+) mm is missing"),
     "two joints exchanged": (lambda rows: joints_of(rows, [0, 1, 3, 2, 4, 5]), {}, r"legs? [23] .*(?:swapped|order)"),
+    "joints of two pairs exchanged": (lambda rows: joints_of(rows, [0, 2, 1, 3, 4, 5]), {}, r"legs 1 and 2 swapped\?$"),
     "joints one row late": (lambda rows: joints_of(rows, [5, 0, 1, 2, 3, 4]), {}, r"leg \d.*(?:another leg|swapped)"),
     "an axis of the platform mirrored": (lambda rows: rows * [1, 1, 1, 1, -1, 1, 1], {}, r"leg.*axis of P mirrored\?"),
     "a mirrored crank": (lambda rows: changed(rows, LEG, crank_deg=lambda yaw: yaw + 180), {}, r"leg 3 .*mirrored"),

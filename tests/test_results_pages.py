@@ -268,9 +268,11 @@ def test_calibration(page):
     planned = plan_poses(robot, 60, limits, NOISE).targets
     unseen = poses_at_random(robot, limits, 2)
     trials = [calibrated(robot, planned, unseen, NOISE, seed, fit="geometry") for seed in range(5)]
-    widths = 1e3 * np.median([trial.width for trial in trials], axis=(0, 1))
-    for name, place in (("crank length [mm]", 6), ("rod length [mm]", 7), ("homing offset [mrad]", 10)):
-        assert_says(page.cell(name, column="`paper`, planned"), widths[place], within=0.1)
+    widths = np.median([trial.width for trial in trials], axis=(0, 1))
+    degree = np.degrees(1.0)
+    rows = (("crank length [mm]", 6, 1e3), ("rod length [mm]", 7, 1e3), ("homing offset [deg]", 10, degree))
+    for name, place, factor in rows:
+        assert_says(page.cell(name, column="`paper`, planned"), factor * widths[place], within=0.1)
 
 
 def test_identification(page):

@@ -248,7 +248,12 @@ def test_polar_points_and_an_angle_of_the_crank_are_the_same_robot(tmp_path):
         ("shaft_radius, shaft_y, shaft_z, joint_x, joint_y, joint_z\n", r"header: .*without shaft_x"),
         (f"{HEADER}, crank_deg, crank_x, crank_y, crank_z\n", r"header: .*with crank_x, crank_y, crank_z"),
         (f"{HEADER}, crank_x\n", r"header.*in groups, crank_x, crank_y, crank_z.*without crank_y, crank_z"),
-        (f"{HEADER}\n1, 2, 3, 4, five, 6\n", r"expected 6 rows, one per leg.*five"),
+        (f"{HEADER}\n1, 2, 3, 4, five, 6\n", r"row 1, joint_y: expected a number, got 'five'"),
+        (f"{HEADER}\n1, 2, 3, 4, 5, 6\n1, 2, 3, , 5, 6\n", r"row 2, joint_x: expected a number in every cell, got ''"),
+        (f'{HEADER}\n1, 2, 3, "4,5", 5, 6\n', r"row 1, joint_x: expected a number, got '4,5'; a decimal comma\?"),
+        (f"{HEADER}\n1, 2, 3, 4,5, 5, 6\n", r"row 1: expected 6 cells, got '7 cells'; a decimal comma\?"),
+        (f"{HEADER};low".replace(",", ";"), r"header: expected commas .*got 'semicolons'"),
+        (f"{HEADER}, low, high\n" + "1, 2, 3, 4, 5, 6, -63, 63\n" * 6, r"row 1, low: .* -63 deg are -1\.1 rad$"),
         (f"{HEADER}\n1, 2, 3, 4, nan, 6\n" * 1, r"6 rows, one per leg.*got \(1, 6\)"),
         (f"leg, {HEADER}\n" + "3, 1, 2, 3, 4, 5, 6\n" * 6, r"leg: expected "),
     ],
@@ -258,6 +263,9 @@ def test_a_table_that_is_none_is_refused_in_a_line(tmp_path, text, wanted):
     with pytest.raises(ConfigurationError, match=wanted) as caught:
         RobotParameters.from_table(tmp_path / "bad.csv", **LEG)
     assert "\n" not in str(caught.value)
+
+
+FAR = np.arange(36).reshape(6, 6) == 18  # shaft_x of leg 3
 
 
 def swapped(one, other):
@@ -277,6 +285,7 @@ def swapped(one, other):
         (lambda: RobotParameters.from_table(POINTS * [1, 1, 1, -1, 1, 1], **TOWARDS), r"is an axis of P mirrored\?"),
         (lambda: RobotParameters.from_table(swapped(2, 3), **LEG), r"legs\.2\.platform_joint.* legs 2 and 3 swapped\?"),
         (lambda: RobotParameters.from_table(swapped(4, 5), **LEG), r"legs\.4\.platform_joint.* legs 4 and 5 swapped\?"),
+        (lambda: RobotParameters.from_table(POINTS * np.where(FAR, 1e6, 1.0), **LEG), r"leg 3.* decimal point right\?"),
         (lambda: RobotParameters(rod_length=404.0), r"robot\.rod_length: expected a length.*in millimetres\?"),
         (lambda: RobotParameters(home_height=300.0), r"robot\.home_height: expected a height.*in millimetres\?"),
         (lambda: RobotParameters(legs=[{"platform_joint": (110, 0, 0)}, *[{}] * 5]), r"legs\.0\..*at most 30"),

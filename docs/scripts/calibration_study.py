@@ -18,6 +18,7 @@ from stewart_drake.estimation.geometry import (
     GAIN,
     HOMING,
     KINDS,
+    LEG_PARAMETERS,
     OF_ROBOT,
     PER_LEG,
     difference,
@@ -187,7 +188,8 @@ def main():
     # Of the paper's robot by planned and by random poses, and of Reachy Mini, with frames that are estimated.
     columns = [f"`{SETTINGS[at][0]}`, {SETTINGS[at][1]}" for at in SHOWN]
     rows_of_widths = [
-        (name, *(f"{1e3 * widths[at][place]:.3f}" for at in SHOWN)) for place, name in enumerate(table_names()[:GAIN])
+        (name, *(f"{LEG_PARAMETERS[place].display[1] * widths[at][place]:.3f}" for at in SHOWN))
+        for place, name in enumerate(table_names()[:GAIN])
     ]
     text = TEXT.format(
         robots=ROBOTS,

@@ -159,8 +159,7 @@ def checked_pose(key: str, pose: ArrayLike) -> np.ndarray:
     if array.shape != (6,) or not np.isfinite(array).all():
         allowed = "six finite numbers: roll, pitch, yaw [rad], X, Y, Z [m]"
         raise ConfigurationError(key, pose if array.shape != (6,) else array.tolist(), allowed)
-    if np.abs(array[:3]).max() > 1e3 or np.abs(array[3:]).max() > 1e3:
-        raise ConfigurationError(
-            key, array.tolist(), "angles below 1000 rad and positions below 1000 m; in millimetres?"
-        )
+    for part, allowed in ((array[:3], "angles below 1000 rad"), (array[3:], "positions below 1000 m; in millimetres?")):
+        if np.abs(part).max() > 1e3:
+            raise ConfigurationError(key, array.tolist(), allowed)
     return array

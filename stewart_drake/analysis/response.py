@@ -83,7 +83,7 @@ class StepResponse(NamedTuple):
         value: (n,) [-] 0 at the start, 1 at the target.
         rise_time: [s] from 0.1 to 0.9 of the step; NaN if it is not reached.
         overshoot: [-] largest value less 1; at least 0.
-        settling_time: [s] until it remains within 0.02; NaN if it does not.
+        settling_time: [s] until it remains within 0.02; NaN if it is not within for the last `SETTLED_SHARE`.
     """
 
     time: np.ndarray
@@ -106,13 +106,18 @@ class StepResponse(NamedTuple):
         return [("rise time, 10 to 90 %", rise), ("overshoot", overshoot), ("settling time, 2 %", settling)]
 
 
+SETTLED_SHARE = 0.05
+"""Last share of a response in which it must be within its band to have settled there, and not only cross it."""
+
+
 def step_figures(time: np.ndarray, value: np.ndarray) -> StepResponse:
     """Rise time, overshoot and settling time of values (n,) that go from 0 to 1 over times (n,) [s]."""
     above_low, above_high = value >= 0.1, value >= 0.9
     rise = time[above_high.argmax()] - time[above_low.argmax()] if above_high.any() else np.nan
     outside = np.flatnonzero(~(np.abs(value - 1.0) <= 0.02))
     last = outside[-1] + 1 if len(outside) else 0
-    settling = time[last] - time[0] if last < len(time) else np.nan
+    settled = last < len(time) and time[-1] - time[last] >= SETTLED_SHARE * (time[-1] - time[0])
+    settling = time[last] - time[0] if settled else np.nan
     return StepResponse(time, value, float(rise), float(max(0.0, value.max() - 1.0)), float(settling))
 
 

@@ -26,6 +26,9 @@ def robot_sheets(robot: RobotParameters) -> list[Sheet]:
         text = " ".join((robot.__pydantic_fields__[name].description or "").split())
         unit, _, words = text.removeprefix("[").partition("]")
         bodies.append((name, ", ".join(f"{x:.6g}" for x in np.ravel(getattr(robot, name))), unit, words.strip(" ;")))
+    if (robot.servo_gains != 1.0).any():
+        gains = ", ".join(f"{gain:.6g}" for gain in robot.servo_gains)
+        bodies.append(("servo_gain", gains, "-", "of legs 0 to 5: angle that a crank turns over the one commanded"))
     home = leg_geometry(robot, robot.home_pose)
     angles, stops = np.degrees(home.crank_angles), np.degrees(robot.crank_angle_ranges)
     torque = static_torque(robot, robot.home_pose)

@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+import numpy as np
 
 from stewart_drake.base.registry import DANCES
 from stewart_drake.cli import options as opt
 from stewart_drake.cli.options import command
 from stewart_drake.cli.run_commands import exit_unless_completed, load_learnt, save_learnt, write_results
-from stewart_drake.cli.terminal import print_line, print_table, progress_bar, shown_compiling
+from stewart_drake.cli.terminal import print_error, print_line, print_table, progress_bar, shown_compiling
 from stewart_drake.logs.signals import SCALES
 from stewart_drake.runs.outputs import begin_journal, check_run_folder, new_run_folder, prepare_file
 from stewart_drake.scenario.scenario import Scenario, load_driven
@@ -94,6 +95,7 @@ def drive(
 def _print_plan(loaded: Scenario, url: str, machine: Machine, start: Start) -> None:
     """Prints the pose of a machine and its approach to the motion."""
     from stewart_drake.runs.drive import measured_home
+    from stewart_drake.safety.stream import UdpTargets
 
     model = loaded.controller_model
     home = measured_home(model.robot, start.angles, model.home).tolist()
@@ -105,6 +107,8 @@ def _print_plan(loaded: Scenario, url: str, machine: Machine, start: Start) -> N
         ("approach to the motion", f"{start.motion.approach:.1f} s"),
         ("duration until rest", f"{start.duration:.1f} s"),
     ]
+    if isinstance(source := start.motion.source, UdpTargets):
+        rows.append(("listens for targets at", source.address))
     print_table(f"{loaded.name} on {url}", rows)
     joints = None if model.friction is None else model.friction.joints
     if url == "sim:" and joints is not None and not loaded.plant.joints_rub:
@@ -164,13 +168,20 @@ def export(
 def _print_servos(loaded: Scenario, sketch: Path, board: str) -> None:
     """Prints what each servo is sent, and what comes next."""
     from stewart_drake.export.sketch import MEANS, angles_only, wiring_of
+    from stewart_drake.mechanics.kinematics import inverse_kinematics
 
-    wiring = wiring_of(loaded, board)
+    wiring, robot = wiring_of(loaded, board), loaded.controller_model.robot
+    cranks = np.degrees(inverse_kinematics(robot, robot.home_pose)) + 0.0
     rows = [
-        (f"leg {leg}", f"{wiring.commands(wiring.home)[leg]:.0f} at home, {least:.0f} to {most:.0f}")
+        (leg, f"{wiring.commands(wiring.home)[leg]:.0f}", f"{cranks[leg]:.1f}", f"{least:.0f} to {most:.0f}")
         for leg, (least, most) in enumerate(wiring.within.T)
     ]
-    print_table(f"servos, {MEANS[wiring.kind or 'rc']}", rows)
+    header = ("leg", "at home", "its crank there [deg]", "limits")
+    print_table(f"servos, {MEANS[wiring.kind or 'rc']}", rows, header)
+    free = ", ".join(map(str, np.flatnonzero(~np.isfinite(robot.crank_angle_ranges).all(axis=1))))
+    if free:
+        allowed = "columns low, high of its table, or crank_angle_range of its legs"
+        print_error(f"warning: the robot has no stops at legs {free}: their servos may turn to the ends; add {allowed}")
     if (why := angles_only(loaded)) is not None:
         print_line(f"the board takes angles and no poses: {why}")
     print_line(f"try: make -C {sketch}" if board == "computer" else f"open {sketch} in Arduino's tools")

@@ -24,7 +24,7 @@ from stewart_drake.robot.leg_table import Cranks, FromTable, Home, Unit
 from stewart_drake.robot.leg_table import from_table as read_table
 from stewart_drake.robot.robot_files import load_robot, robot_about, robot_names, save_robot
 from stewart_drake.runs.outputs import check_ending, prepare_file, prepared_file, write_text
-from stewart_drake.scenario.limits import ReferenceLimits
+from stewart_drake.scenario.limits import ReferenceLimits, measure_poses
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from stewart_drake.estimation.servos import ServoIdentification
 
 _PASSES = 16  # Averaged renderings of a picture, under different lights.
+_POOR = 0.1  # [-] Least conditioning at home without a warning.
 _NOT_IN_TABLES = ("platform_mass", "rod_mass", "crank_mass", "rotor_inertia", "effort_limit")
 
 
@@ -99,6 +100,8 @@ def from_table(
     read = read_table(table, unit, cranks, parameters, place)
     if read.pairs:
         print_line(f"pairs of motors: legs {', '.join(f'{one} and {other}' for one, other in read.pairs)}")
+    if read.outwards:
+        print_line("level cranks point outwards from the centre; for others give --cranks or a column crank_deg")
     _save_read(read, parameters, about, out)
 
 
@@ -132,6 +135,11 @@ def _save_read(read: FromTable, given: Document, about: str, out: Path) -> None:
     if read.warning:
         print_error(f"warning: {read.warning}")
     robot = RobotParameters(**read.parameters)
+    (home,) = measure_poses(robot, robot.home_pose[None])
+    if home.clearance < 0.0:
+        print_error(f"warning: links of {1e3 * robot.link_radius:.3g} mm radius collide at home: is link_radius right?")
+    if home.conditioning < _POOR:
+        print_error(f"warning: home is near a singularity, conditioning {home.conditioning:.3f}: move the joints")
     save_robot(robot, out, about)
     size = f"shafts {1e3 * robot.base_radius:.4g} mm from the middle"
     print_line(f"robot in {out}: home at Z = {robot.home_height:.4g} m, {size}")
@@ -153,11 +161,21 @@ def _model_options(write: Callable[[Scenario], str]) -> Callable[..., None]:
 
     def model(file: Path, robot: str | None, scenario: str, overrides: tuple[str, ...], trust_code: bool) -> None:
         named = [] if robot is None else [f"robot={json.dumps(robot)}"]
-        write_text(file, write(load_scenario(scenario, (*named, *overrides), trust_code)))
+        loaded = load_scenario(scenario, (*named, *overrides), trust_code)
+        write_text(file, write(loaded))
         print_line(f"robot in {file}")
+        if (loaded.robot.servo_gains != 1.0).any():
+            print_error(f"warning: {file} has no servo_gain of the legs: keep the robot's YAML file")
 
     model.__doc__ = write.__doc__
     return model
+
+
+def _note_base(scenario: Scenario, what: str) -> None:
+    """Tells what of a scenario's base a model file leaves out."""
+    tilted = any(scenario.base.orientation) and "tilt" in what
+    if tilted or scenario.base.motion is not None:
+        print_line(f"the {what} left out: the file has a robot on a base at rest")
 
 
 @command("write-sdf", **_MODEL)
@@ -166,6 +184,7 @@ def write_sdf(scenario: Scenario) -> str:
     """Uses the scenario's plant.rod_joint and limits.joint_swing."""
     from stewart_drake.plant.model_files import sdf_text
 
+    _note_base(scenario, "tilt and motion of the base are")
     return sdf_text(scenario.robot, rod_joint=scenario.plant.rod_joint, joint_swing=scenario.limits.joint_swing)
 
 
@@ -179,6 +198,7 @@ def write_mjcf(scenario: Scenario) -> str:
     """
     from stewart_drake.plant.model_files import mjcf_text
 
+    _note_base(scenario, "motion of the base is")
     return mjcf_text(scenario.robot, scenario.gravity_in_base, scenario.plant, joint_swing=scenario.limits.joint_swing)
 
 
@@ -201,7 +221,7 @@ def write_mjcf(scenario: Scenario) -> str:
     ),
     fit=opt.option(
         "Estimate homing offsets, with servo gains (servos), or geometry, with offsets [default: chosen by the data].",
-        click.Choice(tuple(geometry.FITS)),
+        click.Choice(geometry.CHOSEN),
     ),
     example="limits.clearance=0.01",
 )
@@ -243,6 +263,8 @@ def calibrate(
     noise = MeasurementNoise(**{**used.noise.to_dict(), **{key: of for key, of in given.items() if of is not None}})
     known_frames = tuple({*known_frames, *used.known_frames})
     guess = load_robot(robot)
+    if instrument is not None and poses is not None:
+        poses.refuse_other(instrument, guess)
     if plan is not None:
         hold = tuple({*hold, *geometry.KINDS} - {*geometry.FITS[fit or used.fit]} | {*hold})
         limits = load_scenario("paper_fig7", [f"robot={json.dumps(robot)}", *overrides]).limits
@@ -260,7 +282,10 @@ def calibrate(
             header, rows = result.choice_table()
             print_table("what to fit: the least Akaike information criterion (AIC) is chosen", rows, header)
         header, rows = result.table()
-        print_table("change from the guess, 95 % interval", rows, header)
+        if rows:
+            print_table("change from the guess, 95 % interval", rows, header)
+        for warning in result.warnings():
+            print_error(f"warning: {warning}")
 
 
 def _write_plan(
@@ -281,6 +306,8 @@ def _write_plan(
     write_text(out, planned.targets.only(instrument.measured).to_csv())
     header, rows = planned.table()
     print_table(f"expected 95 % intervals with {count} poses, largest of the legs, +-", rows, header)
+    place, turn = planned.error
+    print_line(f"expected error of other poses (RMS): {1e3 * place:.2g} mm, {math.degrees(turn):.2g} deg")
     for line in planned.unidentifiable:
         print_line(f"not identifiable by these poses: {line}")
 

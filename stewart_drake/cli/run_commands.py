@@ -223,7 +223,7 @@ def check(
     for code in dict.fromkeys(part.code for part in user_parts(loaded)):
         hint = "" if code.trusted else "; `run` needs --trust-code for it"
         print_line(f"runs code: {code}{hint}")
-    if user_parts((loaded.reference, loaded.safety)):
+    if user_parts((loaded.reference, loaded.safety, loaded.base)):
         if scale or retime:
             allowed = "a motion and monitors of the package for --scale and --retime; check does not run user code"
             raise ConfigurationError("SCENARIO", scenario, allowed)

@@ -72,6 +72,9 @@ def _steer(loaded: Scenario, url: str, port: int | None, browser: bool, trust_co
     from stewart_drake.runs.drive import connected
     from stewart_drake.runs.outputs import new_run_folder
 
+    if (address := getattr(loaded.reference, "udp", None)) is not None:
+        allowed = "null: here the page steers the machine; `drive` follows a stream"
+        raise ConfigurationError("reference.udp", address, allowed)
     machine = open_machine(url, loaded, trust_code)
     try:
         with shown_compiling():

@@ -54,13 +54,19 @@ class LevelReference:
         self._motion, self._base = motion, base
 
     def evaluate(self, time: float | np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        times, now, state = np.atleast_1d(np.asarray(time, dtype=float)).ravel(), np.zeros(1), LevelState.new()
-        rows = np.concatenate(self._motion.evaluate(times), axis=-1)
-        for row, reading in zip(rows, self._base(times), strict=True):
-            level_tick(now, row, reading, state)
-            row[:] = state["reference"][0]
+        times = np.atleast_1d(np.asarray(time, dtype=float)).ravel()
+        rows = levelled(np.concatenate(self._motion.evaluate(times), axis=-1), self._base(times))
         rows = rows.reshape(*np.shape(time), 3, 6)
         return rows[..., 0, :], rows[..., 1, :], rows[..., 2, :]
+
+
+def levelled(rows: np.ndarray, readings: np.ndarray) -> np.ndarray:
+    """Rows (n, 18) of a motion, turned against the base by `level_tick`, with readings (n, 12) of the same times."""
+    now, state, turned = np.zeros(1), LevelState.new(), np.empty_like(rows)
+    for row, reading, out in zip(rows, readings, turned, strict=True):
+        level_tick(now, row, reading, state)
+        out[:] = state["reference"][0]
+    return turned
 
 
 class LevelState(Record):

@@ -5,6 +5,7 @@ What is fitted is chosen by the Akaike information criterion: what predicts pose
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -18,13 +19,14 @@ from stewart_drake.base.tables import AXES, numbers_to_csv
 from stewart_drake.estimation import core, geometry
 from stewart_drake.estimation.core import Estimate, Result
 from stewart_drake.estimation.corrections import corrections
-from stewart_drake.estimation.geometry import FITS, KINDS, OF_ROBOT, PARAMETERS, PER_LEG, SIZE, PoseModel
+from stewart_drake.estimation.geometry import CHOSEN, FITS, KEPT, KINDS, OF_ROBOT, PARAMETERS, PER_LEG, SIZE, PoseModel
 from stewart_drake.estimation.pose_fits import ClosureFit, fewest_poses, fit_closures, fit_tracker, whitening
 from stewart_drake.estimation.poses import INSTRUMENTS, MeasurementNoise, Measurements, load_measurements
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
 
 _NOISY = 2.0  # Ratio of errors to the stated noise above which this noise, or the model, is doubtful.
+_DOUBTFUL = 3.0  # The same, above which there is a warning.
 _SAME = 1e-9  # [rad, m] less than any tracker's last digit, more than a file's.
 _HOPELESS = 3.0  # [-] closures over those of the richest fit, from which a simpler one is not tried to the end.
 _MISFIT = _BETTER = 5.0
@@ -71,7 +73,8 @@ class Calibration(Result):
     columns: ClassVar = ("leg", "parameter", "axis", "unit", "guess", "value", "half_width")
     about: ClassVar = (
         "Changes from the guess, with 95 % intervals. The true angle is servo gain times reading, minus the homing\n"
-        "offset. The offset is part of the robot's crank directions, so that its crank angles are gains times readings."
+        "offset, counted as in the guess. In the robot's file the offset is in the crank directions: there a crank\n"
+        "angle is servo gain times reading, as `model.home` is zero."
     )
     picture: ClassVar = "Errors of the poses and changes of the parameters"
 
@@ -159,7 +162,7 @@ class Calibration(Result):
 
     def summary(self) -> list[tuple[str, str]]:
         before, after = (
-            f"{1e3 * place:.3g} mm, {1e3 * turn:.3g} mrad".removeprefix("nan mm, ").removesuffix(", nan mrad")
+            f"{1e3 * place:.3g} mm, {math.degrees(turn):.3g} deg".removeprefix("nan mm, ").removesuffix(", nan deg")
             for place, turn in self.error_sizes()
         )
         measured = self.model.measured
@@ -179,7 +182,7 @@ class Calibration(Result):
             ("pose error before (RMS)", before),
             ("pose error after (RMS)", after),
             ("remaining errors", ratio),
-            ("widest 95 % intervals, ±", ", ".join(text.format(width) for text, width in widest.items())),
+            ("widest 95 % intervals, ±", ", ".join(text.format(width) for text, width in widest.items()) or "none"),
         ]
         for frame, kind, where, points in (
             ("base", "shaft_position", "where B is", "the shafts"),
@@ -192,11 +195,30 @@ class Calibration(Result):
         return [*rows, *self._offsets_and_frames()]
 
     def _offsets_and_frames(self) -> Iterator[tuple[str, str]]:
-        offsets = ", ".join(f"{1e3 * offset:.3f}" for offset in self.homing_offsets)
-        yield "homing offsets in the crank angles, which are servo gains times readings [mrad]", offsets
+        offsets = ", ".join(f"{offset:.3f}" for offset in np.degrees(self.homing_offsets))
+        yield "homing offsets in the crank angles, which are servo gains times readings [deg]", offsets
         yield "servo gains [-]", ", ".join(f"{gain:.4f}" for gain in self.robot.servo_gains)
         for name, frame in (("B in the tracker's frame", self.base), ("marker in P", self.marker)):
             yield f"{name}, roll pitch yaw [rad] X Y Z [m]", " ".join(f"{x:.7g}" for x in geometry.pose_of(frame))
+
+    def warnings(self) -> Iterator[str]:
+        """What to know before the robot is used, a line each."""
+        if self.fit == KEPT:
+            yield "nothing is changed: any change that these poses suggest is likely to be noise; the file is the guess"
+        if self.noise_ratio > _DOUBTFUL:
+            yield (
+                f"errors are {self.noise_ratio:.3g} times the noise of the instrument: is --with, or --position-noise "
+                "and --rotation-noise, what measured this? Does the robot differ in more than what was fitted?"
+            )
+        of_servos = np.array([each.kind in FITS[self.fit] for each in PARAMETERS]) & (geometry.PRIOR.any(axis=0))
+        if lost := int((of_servos & self.estimate.undetermined).sum()):
+            yield f"{lost} of {of_servos.sum()} offsets and gains are not determined, keep the guess: more, other poses"
+        vague = of_servos & (self.half_width > np.abs(self.change))
+        if self.fit in ("offsets", "servos") and 2 * vague.sum() > of_servos.sum():
+            yield (
+                f"of {of_servos.sum()} offsets and gains {vague.sum()} changed by less than their 95 % intervals; "
+                "more poses, or a better instrument, tell them better"
+            )
 
     def table(self) -> tuple[list[str], list[list[str]]]:
         def cell(change: float, width: float) -> str:
@@ -229,6 +251,8 @@ class Calibration(Result):
     def robot_file(self) -> str:
         error = dict(self.summary())["pose error after (RMS)"]
         about = f"calibrated from {len(self.measurements)} measured poses: pose error {error} (RMS)"
+        if self.fit == KEPT:
+            about = f"as guessed: {len(self.measurements)} measured poses tell nothing better, pose error {error} (RMS)"
         return core.robot_yaml(about, [f"{name}: {text}" for name, text in self._offsets_and_frames()], self.robot)
 
     def residuals_csv(self) -> str:
@@ -259,7 +283,7 @@ def calibrate(
             platform's joints do.
         hold: Parameters that keep their value, of `geometry.KINDS`.
         fit: What to estimate, of `geometry.FITS`: homing offsets alone; with servo gains; geometry with offsets; or
-            all. None for the best by the Akaike information criterion.
+            all. None for the best by the Akaike information criterion, which may be to keep the guess.
 
     Returns:
         The calibrated robot, with intervals and residuals.
@@ -269,7 +293,7 @@ def calibrate(
             single wrong row, another branch; the message names it where the residuals show it.
     """
     core.check_choices("hold", hold, KINDS)
-    core.check_choices("fit", () if fit is None else (fit,), tuple(FITS))
+    core.check_choices("fit", () if fit is None else (fit,), CHOSEN)
     measurements = poses if isinstance(poses, Measurements) else load_measurements(poses)
     noise = INSTRUMENTS[measurements.instrument].noise if noise is None else noise
     if not set(geometry.FRAMES) <= set(known_frames):
@@ -277,6 +301,9 @@ def calibrate(
     _refuse_plan(robot, measurements)
     ways = _ways(robot, known_frames, hold, fit, measurements.measured)
     enough = [name for name in ways if fewest_poses(ways[name], measurements) <= len(measurements)] or [*ways][-1:]
+    if fit is None:
+        ways[KEPT] = geometry.free_frames(known_frames, measurements.measured)
+        enough.append(KEPT)
     few = [Choice(name, ways[name].shape[1], np.inf, np.inf, "too few poses") for name in ways if name not in enough]
 
     def closures(name: str, some: Measurements = measurements) -> ClosureFit:
@@ -290,7 +317,7 @@ def calibrate(
     estimate, noise_ratio = fits[best]
     known = tuple(frame for frame in geometry.FRAMES if frame in known_frames)
     kept = tuple(kind for kind in KINDS if kind in hold or kind not in FITS[best])
-    calibrated = geometry.as_robot(robot, estimate.values)
+    calibrated = robot if best == KEPT else geometry.as_robot(robot, estimate.values)
     fitted = estimate, noise_ratio, best, (*few, *choices)
     return Calibration(calibrated, start.model, measurements, known, kept, *fitted)
 
@@ -300,7 +327,7 @@ def _ways(
 ) -> dict[str, np.ndarray]:
     """What can be fitted, the richest first: free directions by the name of a fit; with what is held two may be one."""
     # Angles alone say nothing of the robot's size, and little of its shape.
-    names = (fit,) if fit else tuple(FITS) if measured.all() else ("offsets", "servos")
+    names = (fit,) if fit else CHOSEN if measured.all() else ("offsets", "servos")
     held = {frozenset(set(KINDS) - set(FITS[name]) | set(hold)): name for name in reversed(names)}
     some = {kinds: name for kinds, name in held.items() if len(kinds) < len(KINDS)} or held
     ways = {name: geometry.free_directions(robot, known, kinds, measured) for kinds, name in some.items()}
@@ -316,15 +343,16 @@ def _choices(
     for name in names:
         begin = closures(name) if fits else start
         unknown = begin.directions.shape[1]
-        if begin.misfit > _HOPELESS * max(1.0, start.misfit):
+        if fits and begin.misfit > _HOPELESS * max(1.0, start.misfit):
             choices.append(Choice(name, unknown, np.inf, np.inf, "do not fit"))
             continue
-        estimate, ratio, _ = fit_tracker(begin, white)
+        estimate, ratio, _, effective = fit_tracker(begin, white)
         fits[name] = estimate, ratio
         # The richest fit shows whether the noise is larger than stated.
         largest = largest if len(fits) > 1 else max(largest, ratio)
-        errors = max(1, count - unknown) * (ratio / largest) ** 2
-        choices.append(Choice(name, unknown, ratio, errors + 2.0 * unknown))
+        errors = max(1.0, count - effective) * (ratio / largest) ** 2
+        # Numbers that the prior decides cannot fit the noise.
+        choices.append(Choice(name, unknown, ratio, errors + 2.0 * effective))
     return choices, fits
 
 
@@ -363,9 +391,11 @@ def _explained(
     if start.score == np.inf:
         at = int(start.relative.argmax())
         parameter = PARAMETERS[at]._replace(owner="")
-        size = f"{abs(start.change[at]):.3g} {parameter.unit}"
+        unit, factor = parameter.display
+        size = f"{factor * abs(start.change[at]):.3g} {unit}"
         got = f"poses that give a {parameter} of leg {at // PER_LEG} {size} off the guess"
         allowed = "readings of this robot; is it another one, or are two encoders swapped?"
+        allowed += "" if measurements.measured.all() else " Or has the IMU other axes than x, y level and z up?"
         raise ConfigurationError(measurements.source, got, allowed)
     if start.model.near is not None:
         return start

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -42,7 +43,7 @@ class Parameter(NamedTuple):
         """Unit in texts, and factor to it from SI."""
         if self.unit == "1":
             return "%", 1e2
-        return (f"m{self.unit}", 1e3) if self.unit in ("m", "rad") else (self.unit, 1.0)
+        return {"m": ("mm", 1e3), "rad": ("deg", math.degrees(1.0))}.get(self.unit, (self.unit, 1.0))
 
 
 def check_choices(key: str, given: Collection[str], allowed: Sequence[str]) -> None:

@@ -1,4 +1,4 @@
-"""What may be wrong with measured poses that do not fit a robot: units, single rows, the sign of an encoder."""
+"""What may be wrong with measured poses that do not fit a robot: units, single rows, signs of encoders and IMUs."""
 
 from __future__ import annotations
 
@@ -35,6 +35,12 @@ def corrections(
     `off` (n,) [m] is what rods are off in each row with the best fit; None where there is none.
     """
     source, table = measurements.source, measurements.table
+    # Which of roll and pitch is inverted cannot be told where the mounting is unknown.
+    for at, name in () if measurements.measured.all() else ((1, "roll or pose_pitch"), (2, "yaw")):
+        inverted = table * np.where(np.arange(12) == at, -1.0, 1.0)
+        got = "angles that fit with the other sign"
+        allowed = "R = Rz(yaw) Ry(pitch) Rx(roll), with z up; does the IMU count this angle the other way?"
+        yield inverted, f"{source}: pose_{name}", got, allowed
     for key, columns, factor, units in _UNITS:
         scaled = table.copy()
         scaled[:, columns] *= factor

@@ -6,6 +6,7 @@ instrument may measure some coordinates of a pose only: an IMU the three angles,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from stewart_drake.base.atomic_files import Document
 from stewart_drake.estimation import core
 from stewart_drake.estimation.core import Parameter
+from stewart_drake.hardware.wiring import middle_readings
 from stewart_drake.mechanics.kinematics import newton, rod_length_errors, roll_pitch_yaw, rotation_matrix
 from stewart_drake.mechanics.kinematics_laws import Robot, robot_record
 from stewart_drake.robot import RobotParameters
@@ -53,12 +55,21 @@ PARAMETERS = (
 """Parameters of legs 0 to 5, then rotation and translation of the tracker's frame, then of the marker's frame."""
 SIZE, PER_LEG, OF_ROBOT = len(PARAMETERS), len(LEG_PARAMETERS), len(LEG_PARAMETERS) * LEG_COUNT
 FITS = {
+    "none": (),
     "offsets": ("homing_offset",),
     "servos": ("homing_offset", "servo_gain"),
     "geometry": tuple(kind for kind in KINDS if kind != "servo_gain"),
     "all": KINDS,
 }
-"""What can be fitted: kinds of parameters by a name."""
+"""What can be fitted: kinds of parameters by a name; `none` keeps the guess, and fits frames alone."""
+KEPT, *CHOSEN = FITS
+OFFSET_PRIOR, GAIN_PRIOR = math.radians(2.0), 0.03
+"""[rad], [-] standard deviations of homing offsets and servo gains about the guess, before anything is measured: hobby
+servos, with horns trimmed by eye. They decide where the data are weak; a tracker's data outweigh them."""
+PRIOR = np.diag(
+    [{"homing_offset": 1.0 / OFFSET_PRIOR, "servo_gain": 1.0 / GAIN_PRIOR}.get(each.kind, 0.0) for each in PARAMETERS]
+)
+"""(`SIZE`, `SIZE`) rows whose products with a change are errors of standard deviation 1, by this prior."""
 GEOMETRY = np.array([parameter.kind != "servo_gain" for parameter in PARAMETERS[:OF_ROBOT]])
 PREFERENCE = np.array([10.0 if parameter.kind == "servo_gain" else 1.0 for parameter in PARAMETERS])
 """Where data do not determine all, gains keep their values first."""
@@ -152,6 +163,7 @@ def changed_record(guess: RobotParameters, change: np.ndarray) -> Robot:
 def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
     (record,) = changed_record(guess, change)
     ranges, gains = guess.crank_angle_ranges + change[HOMING:OF_ROBOT:PER_LEG, None], gains_of(guess, change)
+    middles = middle_readings(guess)
     legs: list[Document] = [
         {
             "shaft_position": record["shaft"][leg],
@@ -163,6 +175,7 @@ def as_robot(guess: RobotParameters, change: np.ndarray) -> RobotParameters:
             "branch": int(guess.branches[leg]),
             "crank_angle_range": ranges[leg] if np.isfinite(ranges[leg]).all() else None,
             "servo_gain": None if gains[leg] == 1.0 else gains[leg],
+            "servo_middle": middles[leg],
         }
         for leg in range(LEG_COUNT)
     ]
@@ -202,6 +215,13 @@ def free_directions(
                 constraints.append(np.zeros(SIZE))
                 constraints[-1][:OF_ROBOT].reshape(LEG_COUNT, PER_LEG)[:, columns] = shift / np.linalg.norm(shift)
     return core.free_directions(PARAMETERS, KINDS, hold, known, constraints)
+
+
+def free_frames(known: Collection[str], measured: np.ndarray = ALL) -> np.ndarray:
+    """Directions (`SIZE`, k) along which measured coordinates (6,) let the tracker's frames alone change."""
+    fixed = without_effect(measured)
+    free = [at for at in range(OF_ROBOT, SIZE) if PARAMETERS[at].kind not in known and at not in fixed]
+    return np.eye(SIZE)[:, free]
 
 
 def without_effect(measured: np.ndarray) -> list[int]:

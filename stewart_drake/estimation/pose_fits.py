@@ -30,6 +30,7 @@ _FIRST_CALLS = 10  # Evaluations of the errors in the first fit, at most: six su
 _CALLS = 200  # The same in the last fit.
 _LEAST_POSES = 4  # to locate the tracker's frames
 FAR = 0.3  # [-] change of a parameter, in `scales`, that nobody's guess is off by.
+_NO_PRIOR = np.zeros((0, SIZE))
 _Function = Callable[[np.ndarray], np.ndarray]
 
 
@@ -83,17 +84,35 @@ class ClosureFit(NamedTuple):
         return at
 
 
+def _flat(slopes: np.ndarray) -> np.ndarray:
+    """Slopes (..., k) as (m, k), even with k = 0."""
+    return slopes.reshape(math.prod(slopes.shape[:-1]), slopes.shape[-1])
+
+
 def _minimised(
-    errors: _Function, slope: _Function, directions: np.ndarray, start: np.ndarray, calls: int
+    errors: _Function,
+    slope: _Function,
+    directions: np.ndarray,
+    start: np.ndarray,
+    calls: int,
+    prior: np.ndarray = _NO_PRIOR,
 ) -> scipy.optimize.OptimizeResult:
-    """The result of `scipy.optimize.least_squares` for the step along directions; errors and slope take the change."""
-    return scipy.optimize.least_squares(
-        lambda step: errors(directions @ step).ravel(),
-        start,
-        lambda step: (slope(directions @ step) @ directions).reshape(-1, len(step)),
-        max_nfev=calls,
-        **_SEARCH,
-    )
+    """The result of `scipy.optimize.least_squares` for the step along directions; errors and slope take the change.
+
+    The products of the rows `prior` (m, `SIZE`) with the change are m more errors, the last ones.
+    """
+    more = prior @ directions
+
+    def all_errors(step: np.ndarray) -> np.ndarray:
+        return np.concatenate([errors(directions @ step).ravel(), more @ step])
+
+    def all_slopes(step: np.ndarray) -> np.ndarray:
+        return np.concatenate([_flat(slope(directions @ step) @ directions), more])
+
+    if start.size == 0:
+        fun = all_errors(start)
+        return scipy.optimize.OptimizeResult(x=start, fun=fun, cost=0.5 * fun @ fun, jac=all_slopes(start))
+    return scipy.optimize.least_squares(all_errors, start, all_slopes, max_nfev=calls, **_SEARCH)
 
 
 def fit_closures(
@@ -112,7 +131,7 @@ def fit_closures(
     observed, angles = measurements.marker, measurements.angles
     at = model.platform(nothing, observed)
     slope = model.whitening(nothing, at, angles, noise) @ model.tracker_slope(nothing, at, angles)
-    white, ways = (slope @ (size[:, None] * free)).reshape(-1, free.shape[1]), free
+    white, ways = _flat(slope @ (size[:, None] * free)), free
     free, unidentifiable = core.identifiable(white, ways, size, geometry.LARGEST_DEVIATION, geometry.PREFERENCE)
     directions, cranks = size[:, None] * free, float(guess.crank_lengths.max())
     root = np.linalg.inv(np.linalg.qr(white @ ways.T @ free, mode="r"))
@@ -120,9 +139,10 @@ def fit_closures(
     begin = np.zeros(directions.shape[1])
     if model.near is not None:
         start = ClosureFit(model, measurements, directions, unidentifiable, begin, nothing, nothing[:OF_ROBOT], 0.0)
-        estimate, ratio, step = fit_tracker(start, whitening(start, noise))
-        relative = np.abs(estimate.values / size)[:OF_ROBOT] - spread
-        return start._replace(step=step, change=estimate.values, relative=relative, misfit=ratio)
+        found = fit_tracker(start, whitening(start, noise))
+        change = found.estimate.values
+        relative = np.abs(change / size)[:OF_ROBOT] - spread
+        return start._replace(step=found.step, change=change, relative=relative, misfit=found.ratio)
     unit = math.hypot(noise.position, guess.characteristic_length * noise.rotation, cranks * noise.encoder)
     result = _minimised(
         lambda change: model.closures(change, model.platform(change, observed), angles) / unit,
@@ -142,11 +162,17 @@ def whitening(start: ClosureFit, noise: MeasurementNoise) -> np.ndarray:
     return start.model.whitening(start.change, start.predicted(start.change), start.measurements.angles, noise)
 
 
-def fit_tracker(start: ClosureFit, white: np.ndarray) -> tuple[Estimate, float, np.ndarray]:
-    """The second of the two least-squares problems: the smallest errors of the instrument, weighted.
+class TrackerFit(NamedTuple):
+    """The most likely numbers, at a step (k,) along the directions."""
 
-    Returns the estimate, the size of the errors over the noise, and the step (k,) along the directions.
-    """
+    estimate: Estimate
+    ratio: float  # [-] errors over the stated noise.
+    step: np.ndarray
+    effective: float  # [-] how many numbers the data determine, rather than the prior.
+
+
+def fit_tracker(start: ClosureFit, white: np.ndarray) -> TrackerFit:
+    """The second of the two least-squares problems: the smallest errors of the instrument, weighted, with the prior."""
     model, directions, angles = start.model, start.directions, start.measurements.angles
     result = _minimised(
         lambda change: np.einsum("nij,nj->ni", white, start.instrument_error(change)),
@@ -154,40 +180,42 @@ def fit_tracker(start: ClosureFit, white: np.ndarray) -> tuple[Estimate, float, 
         directions,
         start.step,
         _CALLS,
+        geometry.PRIOR,
     )
-    freedom = max(1, result.fun.size - result.x.size)
-    ratio = math.sqrt(2.0 * result.cost / freedom)
+    count = result.fun.size - len(geometry.PRIOR)
     # Scaled by what the residuals say of the noise, so that noise which is larger than stated widens the intervals.
     try:
-        root = ratio * np.linalg.inv(np.linalg.qr(result.jac, mode="r"))
+        root = np.linalg.inv(np.linalg.qr(result.jac, mode="r"))
     except np.linalg.LinAlgError:
         got, allowed = f"poses that do not determine {result.x.size} numbers", "more poses, or fewer numbers to fit"
         raise ConfigurationError(start.measurements.source, got, allowed) from None
+    effective = float(np.sum((result.jac[:count] @ root) ** 2))
+    freedom = max(1.0, count - effective)
+    ratio = math.sqrt(float(np.sum(result.fun[:count] ** 2)) / freedom)
     estimate = Estimate(
         PARAMETERS,
         geometry.scales(model.guess),
         directions @ result.x,
         directions,
-        root @ root.T,
+        ratio**2 * root @ root.T,
         result.jac.T @ result.jac,
         start.unidentifiable,
         float(stdtrit(freedom, 0.5 + 0.5 * _CONFIDENCE)),
     )
-    return estimate, ratio, result.x
+    return TrackerFit(estimate, ratio, result.x, effective)
 
 
 def located(guess: RobotParameters, measurements: Measurements, known: Collection[str]) -> PoseModel:
     """The guess with the frames at which its own poses at the readings come nearest to the measured ones."""
     measured, plain = measurements.measured, PoseModel(guess, measured=measurements.measured)
     believed, good = plain.assembled(measurements.angles)
-    observed, fixed = measurements.marker[good], geometry.without_effect(measured)
-    free = [at for at in range(OF_ROBOT, SIZE) if PARAMETERS[at].kind not in known and at not in fixed]
-    if len(observed) < (_LEAST_POSES if free else 1) or not (measured.all() or good.all()):
+    observed, directions = measurements.marker[good], geometry.free_frames(known, measured)
+    if len(observed) < (_LEAST_POSES if directions.size else 1) or not (measured.all() or good.all()):
         got = f"readings, of which only {len(observed)} of {len(measurements)} are possible for this robot"
         allowed = "readings in rad (or _deg), in the order of the legs, near the crank angles of the guess"
         raise ConfigurationError(f"{measurements.source}: crank_angle", got, allowed)
     plain = replace(plain, near=None if measured.all() else believed)
-    if not free:
+    if not directions.size:
         return plain
     base, marker, length = np.eye(4), np.eye(4), guess.characteristic_length
     size = np.array([length] * 3 + [1.0] * 3)
@@ -212,5 +240,5 @@ def located(guess: RobotParameters, measurements: Measurements, known: Collectio
     def error(frames: np.ndarray) -> np.ndarray:
         return (size[measured] * model.tracker_error(directions @ frames, believed, observed)).ravel()
 
-    directions = np.eye(SIZE)[:, free]
-    return model.with_frames(directions @ scipy.optimize.least_squares(error, np.zeros(len(free)), x_scale="jac").x)
+    found = scipy.optimize.least_squares(error, np.zeros(directions.shape[1]), x_scale="jac")
+    return model.with_frames(directions @ found.x)

@@ -33,6 +33,8 @@ AMPLIFICATION = 1.3
 from the guess cannot be assembled. A hundred robots off by 1 mm and 1 mrad reached all of 60 planned poses."""
 _WAY = np.linspace(0.0, 2.0, 41)
 _PASSES, _DRAWS = 20, 20
+_ASSESSED = 100  # Poses at which the accuracy of poses is predicted.
+_LEVEL = 1e-6  # [rad] a planned 0, in a file.
 _GAIN = 1e-6
 
 
@@ -119,6 +121,17 @@ class Measurements(Readings):
             allowed = "measured poses; an instrument never gives the same numbers twice, but a level or a jig (--with)"
             raise ConfigurationError(self.source, got, allowed)
 
+    def refuse_other(self, name: str, robot: RobotParameters) -> None:
+        """Raises a `ConfigurationError` if the instrument of that name cannot have measured this."""
+        used = INSTRUMENTS[name]
+        if used.measured[3:].any() and not self.measured[3:].any():
+            allowed = f"what measures no positions, as {self.source} has none: {self.instrument}, or a level"
+            raise ConfigurationError("--with", name, allowed)
+        if not used.measured.all():
+            still = used.measured & [axis not in used.moves for axis in _AXES]
+            off = still & (np.abs(self.pose - robot.home_pose) > _LEVEL)
+            self.refuse(np.hstack([off, np.zeros_like(off)]), "the planned 0: in all rows the bubble is in the middle")
+
     @property
     def absent(self) -> np.ndarray:
         return np.isnan(self.table).all(axis=0) & (np.arange(12) < 6)
@@ -198,9 +211,10 @@ class PosePlan:
     random_half_width: np.ndarray  # The same of random poses.
     unidentifiable: tuple[str, ...]  # What these poses cannot determine, one sentence each.
     gain: float  # [-] ratio of standard deviations, in the geometric mean, of random poses to these.
+    error: tuple[float, float]  # [m], [rad] expected RMS errors of other poses, with the calibrated robot.
 
     def table(self) -> tuple[list[str], list[list[str]]]:
-        """Header and rows: the largest expected interval of the legs, for these poses and random ones, in mm, mrad."""
+        """Header and rows: the largest expected interval of the legs, for these poses and random ones, in mm, deg."""
         both = (
             geometry.by_leg(widths, display=True).max(axis=0) for widths in (self.half_width, self.random_half_width)
         )
@@ -243,33 +257,54 @@ def plan_poses(
         ConfigurationError: Fewer poses than determine all parameters, or more than candidates; home breaks a limit.
     """
     noise = instrument.noise if noise is None else noise
-    rng, measured = np.random.default_rng(seed), instrument.measured
+    rng, measured, limits = np.random.default_rng(seed), instrument.measured, limits or ReferenceLimits()
     free = geometry.free_directions(robot, known_frames, hold, measured)
     least = free.shape[1] // int(measured.sum()) + 1
     if not least <= count <= candidates // 2:
         raise ConfigurationError("--plan", count, f"a number of poses from {least} to {candidates // 2}")
-    pose = candidate_poses(robot, candidates, ReferenceLimits() if limits is None else limits, rng, instrument.moves)
+    pose = candidate_poses(robot, candidates, limits, rng, instrument.moves)
     at, model = geometry.transform_of(pose), geometry.PoseModel(robot, measured=measured)
     angles, size = inverse_kinematics(robot, pose) / robot.servo_gains, geometry.scales(robot)
     ways = size[:, None] * free
     slope = model.tracker_slope(np.zeros(geometry.SIZE), at, angles)
     rows = model.whitening(np.zeros(geometry.SIZE), at, angles, noise) @ slope @ ways
     chosen = _exchange(rows, count)
-    covariances = [_covariance(rows[choice]) for choice in (chosen, *rng.choice(len(pose), (20, count)))]
+    choices, prior = (chosen, *rng.choice(len(pose), (20, count))), geometry.PRIOR @ ways
+    covariances = [_covariance(rows[choice], prior) for choice in choices]
     widths = [1.96 * np.linalg.norm(ways @ np.linalg.cholesky(matrix), axis=1) for matrix in covariances]
-    flat = rows[chosen].reshape(-1, free.shape[1])
-    left, fixed = core.identifiable(flat, free, size, geometry.LARGEST_DEVIATION, geometry.PREFERENCE)
-    k = np.eye(left.shape[1])
-    known = core.Estimate(geometry.PARAMETERS, size, np.zeros(geometry.SIZE), size[:, None] * left, k, k, fixed)
+    known = _determined(rows[chosen], free, size)
     widths[0] = np.where(known.undetermined, np.inf, widths[0])
     volume = [np.linalg.slogdet(matrix)[1] / (2.0 * free.shape[1]) for matrix in covariances]
+    # What measures whole poses shows them in its frame.
+    spread = (ways @ np.linalg.cholesky(covariances[0]))[: geometry.SIZE if measured.all() else geometry.OF_ROBOT]
     return PosePlan(
         Measurements(pose[chosen], angles[chosen], "planned poses"),
         widths[0],
         np.median(widths[1:], axis=0),
         known.unidentifiable_sentences(),
         float(np.exp(np.mean(volume[1:]) - volume[0])),
+        _expected_error(robot, limits, spread, rng),
     )
+
+
+def _determined(rows: np.ndarray, free: np.ndarray, size: np.ndarray) -> core.Estimate:
+    """An estimate of nothing, with what rows (n, m, k) along free directions (`SIZE`, k) do not determine."""
+    flat = rows.reshape(-1, free.shape[1])
+    left, fixed = core.identifiable(flat, free, size, geometry.LARGEST_DEVIATION, geometry.PREFERENCE)
+    k = np.eye(left.shape[1])
+    return core.Estimate(geometry.PARAMETERS, size, np.zeros(geometry.SIZE), size[:, None] * left, k, k, fixed)
+
+
+def _expected_error(
+    robot: RobotParameters, limits: ReferenceLimits, spread: np.ndarray, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Expected RMS errors [m], [rad] of other poses, with the first m of `PARAMETERS` off by `spread` (m, k)."""
+    pose = candidate_poses(robot, _ASSESSED, limits, rng)
+    at, angles = geometry.transform_of(pose), inverse_kinematics(robot, pose) / robot.servo_gains
+    slope = geometry.PoseModel(robot).tracker_slope(np.zeros(geometry.SIZE), at, angles)[..., : len(spread)]
+    off = (slope @ spread).reshape(len(pose), 2, -1)
+    turn, place = np.sqrt(np.mean(np.sum(off**2, axis=-1), axis=0)).tolist()
+    return place, turn
 
 
 def candidate_poses(
@@ -336,7 +371,7 @@ def _exchange(rows: np.ndarray, count: int) -> np.ndarray:
     return np.array(chosen)
 
 
-def _covariance(rows: np.ndarray) -> np.ndarray:
-    """Covariance (k, k) of the directions, by the prior and rows (n, m, k)."""
-    flat = rows.reshape(-1, rows.shape[2])
+def _covariance(rows: np.ndarray, prior: np.ndarray | None = None) -> np.ndarray:
+    """Covariance (k, k) of the directions, by the size of the robot, rows (n, m, k), and rows (m, k) of a prior."""
+    flat = np.concatenate([rows.reshape(-1, rows.shape[2]), *([] if prior is None else [prior])])
     return np.linalg.inv(flat.T @ flat + np.eye(flat.shape[1]) / geometry.LARGEST_DEVIATION**2)

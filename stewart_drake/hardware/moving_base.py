@@ -61,6 +61,8 @@ class BaseOptions(Section, key="base"):
     """The sensor of the base's motion; null for none."""
 
     def rules(self) -> None:
+        if getattr(self.motion, "kind", "") == "stream":
+            raise ConfigurationError("motion", "stream", "another kind, as no stream moves a base")
         if self.sensor is not None and self.motion is None:
             raise ConfigurationError("sensor", "a sensor", "null, for a base at rest; or give its motion")
 

@@ -23,11 +23,24 @@ BEYOND = 1e-6  # [rad] by which a stop may be beyond what a servo reaches.
 RATE, SPEED = 50.0, 6.0  # [1/s], [rad/s] of servos of which nothing is known.
 
 
+def readings_at_home(robot: RobotParameters, zero_at: Sequence[float] = (0.0,) * 6) -> np.ndarray:
+    """(6,) [rad] of the servos, with cranks at `zero_at` (6,) [rad] where these read zero."""
+    return np.asarray((inverse_kinematics(robot, robot.home_pose) - zero_at) / robot.servo_gains)
+
+
+def middle_readings(robot: RobotParameters, zero_at: Sequence[float] = (0.0,) * 6) -> np.ndarray:
+    """(6,) [rad] of the servos in the middle of their travel, as mounted: `servo_middle`, or those at home."""
+    return np.where(np.isnan(robot.servo_middles), readings_at_home(robot, zero_at), robot.servo_middles)
+
+
 class ServoOptions(Section, key="model.servos"):
     """Six hobby servos on a board, for `export --sketch`. A servo in the middle of its travel has its crank at home.
 
     angle = home angle + offset + gain direction (command - middle) travel / (largest - smallest command)
 
+    This is the angle of a packet. A calibrated robot has a `servo_middle` in place of the home angle. `offset` and
+    `gain` are the trim by hand, at the board; `servo_gain` and crank directions of the robot, by `calibrate`, come on
+    top: after it, leave the trim as it is.
     Commands are the microseconds of a pulse, or counts of a bus servo; none is ever beyond the stops of the robot's
     legs, `crank_angle_range`. A crank with a wrong `direction` moves the wrong way, with a wrong `offset` it is off at
     home, and with a wrong `gain` elsewhere.
@@ -59,11 +72,8 @@ class ServoOptions(Section, key="model.servos"):
             allowed = "commands [us] and travel [rad], or model.motors with a preset that has them, such as mg996r"
             raise ConfigurationError("model.servos", None, allowed)
         (least, most), gain = commands, np.array(self.gain)
-        home, ranges = (
-            (angles - zero_at) / robot.servo_gains
-            for angles in (inverse_kinematics(robot, robot.home_pose), robot.crank_angle_ranges.T)
-        )
-        zero, middle, half = home + self.offset, 0.5 * (least + most), 0.5 * travel * gain
+        home, ranges = readings_at_home(robot, zero_at), (robot.crank_angle_ranges.T - zero_at) / robot.servo_gains
+        zero, middle, half = middle_readings(robot, zero_at) + self.offset, 0.5 * (least + most), 0.5 * travel * gain
         reach = np.stack([zero - half, zero + half])
         angles = np.clip(ranges, *reach)
         for leg, (low, high) in enumerate(reach.T):

@@ -226,6 +226,11 @@ class TestMotion:
         if time - self.start >= self.duration:
             self.complete, self.text = True, f"{self._what}: {self._figures()}"
 
+    def give_up(self) -> None:
+        """Ends it without figures, as the robot no longer follows."""
+        if not self.complete:
+            self.complete, self.text = True, f"{self._what}: not finished"
+
     def curves(self) -> dict[str, object]:
         """Time from the start [s], reference and response [rad, m] of the coordinate, in up to `_DRAWN` rows."""
         count = len(self.values)
@@ -280,7 +285,7 @@ class Recorder:
         All other keys have their present values.
         """
         if not self.rows:
-            raise ConfigurationError("save", "no row", "a loop that has run")
+            raise ConfigurationError("save", "a loop at its start", "a loop that has run")
         signals = self.rows.columns()
         begin, end = signals["time"][[0, -1]].tolist()
         signals["time"] -= begin

@@ -10,12 +10,14 @@ import numpy as np
 
 from stewart_drake.base.errors import RunFailure, SafetyStop, one_line
 from stewart_drake.base.sampling import on_grid
+from stewart_drake.control.base_reading import levelled
 from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.disturbances import total_wrench
+from stewart_drake.hardware.moving_base import base_signal
 from stewart_drake.live.instrument import Push, Recorder, Spring, TestMotion, TurningSpring
 from stewart_drake.live.steering import GOVERNOR_PERIOD, HandReference, Reached
 from stewart_drake.plant.plant_options import ANGLES
-from stewart_drake.safety import MONITORS, Stillness
+from stewart_drake.safety import MONITORS, RAMP, Stillness
 from stewart_drake.safety.limits import LIMITS
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.scenario.stepped_loop import SteppedLoop
@@ -106,6 +108,7 @@ class LiveLoop:
                 self._advance_one()
         except (Exception, SystemExit) as error:  # The page stays open, so that a person can reset.
             failure = failure_of(error, self.scenario)
+            self._give_up_test()
             self.cause, self.ended = cause_of(failure, self.scenario, self.time), one_line(failure)
 
     def _advance_one(self) -> None:
@@ -116,12 +119,19 @@ class LiveLoop:
         if self.steps % self._tick == 0 and self.scenario.safety is None:
             runner = self._loop.runner
             self.stillness.look(runner.signal("reading" if "reading" in runner.places else "plant_pose"), self.wanted)
+        if (safety := self.logged("safety")) is not None and safety[0] >= RAMP:
+            self._give_up_test()
         self._loop.move()
         self.reference.advance(self.time)
         if self.test is not None:
-            self.test.watch(self.time, self._loop.pose, float(self.reference.at(self.time)[self.test.axis]))
+            rest = self._in_base(self.reference.at(self.time))
+            self.test.watch(self.time, self._loop.pose, float(rest[self.test.axis]))
         if self.steps % self.record.every == 0:
             self.record.add(self.time, self.wanted, self._loop.pose, self._loop.torque, self._loop.measured[ANGLES])
+
+    def _give_up_test(self) -> None:
+        if self.test is not None:
+            self.test.give_up()
 
     @property
     def scenario(self) -> Scenario:
@@ -150,8 +160,8 @@ class LiveLoop:
 
     @property
     def wanted(self) -> np.ndarray:
-        """(6,) [rad, m] reference at the time of `pose`."""
-        return self._wanted(self.steps)[:6]
+        """(6,) [rad, m] reference at the time of `pose`, turned against a moving base where the controller does."""
+        return self._in_base(self._wanted(self.steps))[:6]
 
     @property
     def torque(self) -> np.ndarray:
@@ -188,6 +198,14 @@ class LiveLoop:
         time = step * self._step + ahead
         wanted = self.reference.at(time)
         return wanted if self.test is None else wanted + self.test.added(time)
+
+    def _in_base(self, row: np.ndarray) -> np.ndarray:
+        """A row (18,) of a motion now, as the robot is asked to follow it; `Scenario.asked` of what a hand moves."""
+        scenario, base = self.scenario, self.scenario.base.motion
+        if scenario.base_compensation != "level" or base is None:
+            return row
+        reading = base_signal(base, scenario.gravity_in_base, np.array([self.time]))
+        return levelled(row[None], reading)[0]
 
     def _loop_of(self, scenario: Scenario) -> SteppedLoop:
         """The loop of a scenario; the plant is kept if its keys are the same."""

@@ -29,6 +29,7 @@ from stewart_drake.live.instrument import (
     turning_spring,
 )
 from stewart_drake.live.loop import LiveLoop
+from stewart_drake.live.steering import REACH
 from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.robot import RobotParameters
@@ -203,7 +204,12 @@ class LiveSession(PageSession):
         safety = self.loop.scenario.safety
         if safety is not None and safety.unexplained_torque is not None:
             self._change({"safety.unexplained_torque": None})
-            self.message = "a hand acts on it: safety.unexplained_torque is off until Reset"
+
+    def _hand_text(self) -> str:
+        """What `_touch` has switched off, as long as it is."""
+        begun, now = self._initial.safety, self.loop.scenario.safety
+        off = begun is not None and now is not None and begun.unexplained_torque and now.unexplained_torque is None
+        return "a hand acts on it: safety.unexplained_torque is off until Reset" if off else ""
 
     def _release(self, _: Command) -> None:
         self._for_all(lambda loop: setattr(loop, "spring", None))
@@ -229,6 +235,10 @@ class LiveSession(PageSession):
         given, shift = round(float(SCALES[axis] * size), 6), size * np.eye(6)[axis]
         if size == 0.0:
             raise ConfigurationError("amplitude", given, "a number other than 0")
+        for limit, most in _most_of_test(loop, axis, command["kind"] == "step").items():
+            if abs(size) > most:
+                allowed = f"at most {SCALES[axis] * most:.3g} {DISPLAY_UNITS[axis]} here; {limit}"
+                raise ConfigurationError("amplitude", given, allowed)
         for ends in (shift,) if command["kind"] == "step" else (shift, -shift):
             reached = loop.reference.reach(loop.scenario, loop.reference.goal + ends)
             if reached.limit:
@@ -327,7 +337,17 @@ class LiveSession(PageSession):
             "ended": loop.ended,
             "cause": loop.cause,
             "message": self.message if (still := loop.stillness.latest) is None else standstill_text(*still),
+            "hand": self._hand_text(),
         }
+
+
+def _most_of_test(loop: LiveLoop, axis: int, step: bool) -> dict[str, float]:
+    """Bounds on the amplitude [rad, m] of a test: what sets it -> largest; a step is a following error at first."""
+    off = abs(loop.reference.goal - loop.reference.home)[axis]
+    most, safety = {"the range of the sliders": float(REACH[axis] - off)}, loop.scenario.safety
+    if step and safety is not None and safety.following_error is not None:
+        most["safety.following_error"] = 0.99 * safety.following_error[axis // 3]
+    return most
 
 
 def drawn(robot: RobotParameters, wanted: np.ndarray, *robots: tuple[np.ndarray, np.ndarray]) -> PageRow:

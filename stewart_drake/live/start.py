@@ -50,6 +50,7 @@ def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> Pa
         "force_most": largest(robot, scenario.gravity_in_base, FORCE),
         "encoders": scenario.sensors.reading == "angles",
         "may_fail": "dead" in scenario.motors.to_dict(),
+        "on_base": any(scenario.base.orientation) or scenario.base.motion is not None,
         "controllers": list(CONTROLLERS),
     }
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from stewart_drake.analysis.feasibility import checked_times
 from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.references.motions import Reference
 from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.scenario.limits import PLACES, ReferenceLimits, limit_margins
@@ -20,6 +21,8 @@ SPACING = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])  # [rad, m] largest 
 CRANK_SPEED = 2.0  # [rad/s] largest crank speed of motion by hand.
 GOVERNOR_PERIOD = 0.02  # [s]
 _COURSE = np.linspace(0.0, 10.0, 64)  # Checked times of a move, times the bandwidth.
+WORKSPACE_SHARE = 0.97  # Of `safety.workspace`, that a hand may use: the layer looks ahead, and errors add.
+_WAY = 257  # Poses of a way that are compared with it.
 _BLOCK = 8  # Poses that are checked together.
 _BISECTIONS = 10
 
@@ -84,7 +87,8 @@ class HandReference:
             allowed = f"a pose within {REACH[0]:g} rad and {REACH[3]:g} m of {self.home.round(4).tolist()}"
             raise ConfigurationError("pose", pose.tolist(), allowed)
         around = self.excursions(scenario.duration)
-        return nearest_allowed(scenario.robot, scenario.limits, self.goal, pose, scenario.gravity_in_base, around)
+        setup = scenario.robot, scenario.limits, self.goal, pose, scenario.gravity_in_base, around
+        return _within_workspace(scenario, self.goal, nearest_allowed(*setup), around)
 
     def govern(self, scenario: Scenario, time: float) -> None:
         """Moves the filter's target as far towards `goal` as limits and `CRANK_SPEED` allow; time [s] as `at`.
@@ -188,6 +192,22 @@ def nearest_allowed(
         else:
             high, limit = middle, broken[1]
     return Reached(here + low * path, limit)
+
+
+def _within_workspace(scenario: Scenario, here: np.ndarray, reached: Reached, around: np.ndarray) -> Reached:
+    """What was reached from `here` (6,), or the last pose on the way within `safety.workspace`."""
+    if scenario.safety is None or scenario.safety.workspace is None:
+        return reached
+    path, (angle, distance) = reached.pose - here, WORKSPACE_SHARE * np.array(scenario.safety.workspace)
+    poses = here + np.linspace(0.0, 1.0, _WAY)[:, None] * path
+    home = scenario.robot.home_pose
+    rows = poses[:, None] + around
+    traces = np.einsum("...ij,ij", rotation_matrix(rows[..., :3]), rotation_matrix(home[:3]))
+    turned = np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0))
+    outside = ((turned > angle) | (np.linalg.norm(rows[..., 3:] - home[3:], axis=-1) > distance)).any(axis=1)
+    if outside[0] or not outside.any():
+        return reached
+    return Reached(poses[int(outside.argmax()) - 1], "safety.workspace")
 
 
 def _first_broken(

@@ -246,7 +246,12 @@ class RunRows:
         return (self.time[row], off[row], f"the error reached {1e3 * off[row]:.2g} mm") if off[row] > bound else None
 
     def wrong_length(self) -> tuple[float, float, str] | None:
-        """Time [s], motion over run and text if the motion ends long before the run or is cut; else None."""
+        """Time [s], motion over run and text if the motion ends long before the run or is cut; else None.
+
+        A stream may be quiet.
+        """
+        if getattr(self.scenario.reference, "kind", None) == "stream":
+            return None
         moving, duration = np.abs(self["reference_rate"]).max(axis=1), self.scenario.duration
         end = getattr(self.scenario.reference, "end", 0.0)
         if end > CUT_RATIO * duration:

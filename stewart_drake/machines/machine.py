@@ -126,10 +126,11 @@ def open_machine(url: str, scenario: Scenario, trust_code: bool = False) -> Mach
         machine = imported("machines.serial_line:SerialMachine")(scenario, parts[1], int(parts[2] or 1_000_000))
     elif kind == "sim":
         machine = imported("machines.simulated:SimulatedMachine")(scenario, rest)
-    elif re.fullmatch(CLASS_PATH, url):
+    elif re.fullmatch(CLASS_PATH, url) and (trust_code or kind.endswith(".py")):
         machine = imported("machines.user_machine:UserMachine")(scenario, url, trust_code)
     else:
-        raise ConfigurationError("machine", url, _URLS)
+        module = f"; for class {rest} of module {kind} add --trust-code" if re.fullmatch(CLASS_PATH, url) else ""
+        raise ConfigurationError("machine", url, f"{_URLS}{module}")
     home, gains = scenario.controller_model.home, scenario.controller_model.robot.servo_gains
     return Homed(machine, home, gains) if any(home) or (gains != 1.0).any() else machine
 

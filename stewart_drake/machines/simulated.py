@@ -25,7 +25,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from stewart_drake.base.errors import StewartDrakeError
+from stewart_drake.base.errors import StewartDrakeError, one_line
 from stewart_drake.base.real_time import Pace, real_time
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.machines import packet as wire
@@ -239,7 +239,18 @@ def main() -> None:
     parser.add_argument("--port", type=int, required=True)
     arguments = parser.parse_args()
     child = arguments.scenario == "-"
-    scenario = pickle.load(sys.stdin.buffer) if child else load_driven(arguments.scenario)
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
+            line.bind((arguments.host, arguments.port))
+            scenario = pickle.load(sys.stdin.buffer) if child else load_driven(arguments.scenario)
+            _simulate(scenario, line, child)
+    except (StewartDrakeError, OSError, OverflowError) as error:
+        where = "" if isinstance(error, StewartDrakeError) else f"port {arguments.port}: "
+        sys.exit(f"stewart-drake: simulated robot: {where}{one_line(error)}")
+
+
+def _simulate(scenario: Scenario, line: socket.socket, child: bool) -> None:
+    """Simulates until Ctrl-C, or until the parent of a child has ended."""
     hold_after = min(wire.HOLD_AFTER, HOLD_TICKS * scenario.reading_period)
     side = RobotSide(scenario.motors.command_quantity, command_limits(scenario), hold_after)
 
@@ -251,14 +262,10 @@ def main() -> None:
 
     if child:
         threading.Thread(target=end_with_parent, daemon=True).start()
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
-        line.bind((arguments.host, arguments.port))
-        try:
-            serve(scenario, line, side)
-        except StewartDrakeError as failure:
-            sys.exit(f"stewart-drake: the simulated robot has failed: {failure}")
-        except KeyboardInterrupt:
-            print(json.dumps(side.counts))
+    try:
+        serve(scenario, line, side)
+    except KeyboardInterrupt:
+        print(json.dumps(side.counts))
 
 
 if __name__ == "__main__":

@@ -134,7 +134,7 @@ def strength(legs: Legs, inverse: Mat6, torque: Vec6, limit: Vec6) -> tuple[floa
 
 @njit
 def measure_rows(
-    robot: Robot, base: Vec9, thickness: float, poses: Matrix, rates: Matrix, accelerations: Matrix, out: Measures
+    robot: Robot, thickness: float, bases: Matrix, poses: Matrix, rates: Matrix, accelerations: Matrix, out: Measures
 ) -> None:
     """Fills `Measures` records (n,), which are NaN before."""
     robot = record(robot)
@@ -142,7 +142,7 @@ def measure_rows(
     for n in range(len(poses)):
         row: Any = out[n : n + 1]
         legs: Legs = record(memory)
-        measure_motion(robot, base, thickness, poses[n], rates[n], accelerations[n], np.inf, legs, record(row))
+        measure_motion(robot, bases[n], thickness, poses[n], rates[n], accelerations[n], np.inf, legs, record(row))
 
 
 @njit

@@ -182,6 +182,7 @@ async function begin() {
   view = new RobotScene(at("robot"), about.scene);
   const pull = !about.instrument ? null : new Pull(view, view.links.find(({ name }) => name === "platform"), tell,
     ({ shiftKey, button }) => shiftKey || button === 2 || at("turns").checked, about.scene.links.reference[0].size[0]);
+  at("on-base").hidden = !about.on_base;
   const knobs = new Knobs(tell, hold);
   home = about.home;
   const sliders = AXES.map(([name, unit, scale], k) =>
@@ -325,7 +326,7 @@ async function begin() {
     if (last.session !== about.session) location.reload();
     heard = performance.now();
     gone("");
-    at("clock").textContent = `${last.time.toFixed(1)} s`;
+    at("clock").textContent = `${last.time.toFixed(last.paused ? 3 : 1)} s`;
     at("factor").textContent = last.paused ? "paused" : `× ${last.factor.toFixed(2)}`;
     at("pause").textContent = last.paused ? "Run" : "Pause";
     at("message").textContent = last.ended ? `ended: ${last.ended}${about.machine ? "" : " (Reset begins anew)"}` : last.message;
@@ -334,12 +335,13 @@ async function begin() {
     if (!sending && last.obeyed >= told) write(last);
     if (about.instrument) {
       pull.show(last);
-      at("test-result").textContent = last.test.replace(/^[^:]*: /, "").replace("under way", last.ended ? "not finished" : "under way");
+      at("test-result").textContent = last.test.replace(/^[^:]*: /, "");
       test.show(last.test);
       at("message").textContent = [
         last.pull && `pulled with ${measured(last.pull.force, "N", 2)}`,
         last.moment && `turned with ${measured(Math.hypot(...last.moment), "N m", 2)}`,
         at("message").textContent,
+        !last.ended && last.hand,
         last.beside?.ended && `pale: ended: ${last.beside.ended}`,
       ].filter(Boolean).join("; ");
     }

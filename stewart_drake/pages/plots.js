@@ -37,9 +37,9 @@ function tracePlot(parent, title, unit, names, data, { fits = false, kind = "", 
   const plot = new uPlot({
     title, ...size(), scales: { x: { time: false } }, ...more,
     axes: [
-      { label: "time [s]", labelSize: 18, size: 34 },
+      { label: "time [s]", labelSize: 18, size: 34, space: 60, values: (_, ticks) => ticks.map((tick) => Number(tick.toPrecision(8))) },
       {
-        size: roomFor,
+        size: roomFor, space: 18,
         values: (_, ticks) => ticks.map((tick) => measured(tick, unit, 6, Math.max(...ticks.map(Math.abs)))),
       },
     ],

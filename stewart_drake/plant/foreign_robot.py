@@ -96,7 +96,13 @@ def read_model(path: Path, motors: Sequence[str], parameters: Document) -> Impor
         ) from None
     data = mujoco.MjData(file.model)
     mujoco.mj_kinematics(file.model, data)
-    return _robot(file, data, motors, parameters, tree)
+    try:
+        return _robot(file, data, motors, parameters, tree)
+    except ConfigurationError as error:
+        if not error.key.startswith("table: "):
+            raise
+        allowed = error.allowed.replace("is the unit mm?", "is the file in mm? it has to be in m")
+        raise ConfigurationError(error.key.replace("table", key, 1), error.value, allowed) from None
 
 
 def _robot(

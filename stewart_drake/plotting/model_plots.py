@@ -24,8 +24,12 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
     """Pose errors before and after calibration, and the changes of the parameters with 95 % intervals."""
     figure, axes = look.panels(2, 2, 7.0)
     rows = np.arange(len(calibration.measurements)) + 1
-    kinds = ((slice(3, 6), "Error of the position", "mm"), (slice(0, 3), "Error of the rotation", "mrad"))
-    for panel, (part, title, unit) in zip(axes[:, 0], kinds, strict=True):
+    degree = float(np.degrees(1.0))
+    kinds = (
+        (slice(3, 6), "Error of the position", "mm", 1e3),
+        (slice(0, 3), "Error of the rotation", "deg", degree),
+    )
+    for panel, (part, title, unit, factor) in zip(axes[:, 0], kinds, strict=True):
         measured = calibration.model.measured[part]
         panel.set(title=title if measured.any() else f"{title}: not measured")
         panel.set(xlabel="row of the measurements [-]", ylabel=f"error [{unit}]")
@@ -34,25 +38,26 @@ def plot_calibration(calibration: Calibration, path: str | Path) -> None:
             (calibration.after, "after", look.BLUE),
         ):
             if measured.any():
-                sizes = 1e3 * np.linalg.norm(error[:, part][:, measured], axis=-1)
+                sizes = factor * np.linalg.norm(error[:, part][:, measured], axis=-1)
                 panel.plot(rows, sizes, ".", color=color, label=label)
                 look.logarithmic(panel, "y")
                 panel.legend()
-    change, width = 1e3 * np.stack([calibration.change, calibration.half_width])[:, :OF_ROBOT].reshape(
-        2, LEG_COUNT, PER_LEG
-    )
+    change, width = np.stack([calibration.change, calibration.half_width])[:, :OF_ROBOT].reshape(2, LEG_COUNT, PER_LEG)
     # Unidentifiable and held parameters have no interval.
     width = np.where(np.isfinite(width), width, np.nan)
-    for panel, unit, kind in ((axes[0, 1], "m", "lengths"), (axes[1, 1], "rad", "angles")):
+    for panel, unit, kind, shown, factor in (
+        (axes[0, 1], "m", "lengths", "mm", 1e3),
+        (axes[1, 1], "rad", "angles", "deg", degree),
+    ):
         # A gain is an angle per angle.
         columns = [at for at, of in enumerate(LEG_PARAMETERS) if unit == of.unit.replace("1", "rad")]
         for leg, color in enumerate(look.COLORS):
             at = np.arange(len(columns)) + 0.12 * (leg - 2.5)
-            values = change[leg, columns], width[leg, columns]
+            values = factor * change[leg, columns], factor * width[leg, columns]
             panel.errorbar(at, *values, fmt=".", color=color, label=f"leg {leg}", elinewidth=1.0)
         names = [str(LEG_PARAMETERS[at]).replace("_", " ").replace("gain", "gain (per rad)") for at in columns]
         panel.set_xticks(range(len(columns)), names, rotation=30, ha="right")
-        panel.set(title=f"Change of {kind}, with 95 % intervals", ylabel=f"change [m{unit}]")
+        panel.set(title=f"Change of {kind}, with 95 % intervals", ylabel=f"change [{shown}]")
     look.legend_below(figure, axes[0, 1].get_legend_handles_labels()[0], columns=6)
     look.save_figure(figure, path)
 

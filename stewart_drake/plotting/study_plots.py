@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -268,8 +267,13 @@ def _completed(row: Row) -> bool:
 def _styles(rows: Rows) -> Styles:
     common = {"markersize": 7.0, "markeredgecolor": "white", "markeredgewidth": 0.7, "linestyle": "none", "zorder": 3.0}
     names = dict.fromkeys(row["controller"] for row in rows)
-    looks = zip(names, itertools.cycle(_LOOKS), strict=False)
-    return {name: {**common, "color": color, "marker": marker} for name, (color, marker) in looks}
+    styles: dict[str, dict[str, Any]] = {}
+    for number, name in enumerate(names):
+        color, marker = _LOOKS[number % len(_LOOKS)]
+        styles[name] = {**common, "color": color, "marker": marker}
+        if number // len(_LOOKS) % 2:  # Hollow, in the second round of looks.
+            styles[name] |= {"markerfacecolor": "white", "markeredgecolor": color, "markeredgewidth": 1.5}
+    return styles
 
 
 def _legend(figure: Figure, styles: Styles, more: Sequence[Line2D] = ()) -> None:

@@ -36,6 +36,7 @@ OUT = opt.option("Folder for NAME.json of each.", opt.OUT_FOLDER, default="runs/
 FORCE = opt.switch("Replace files that are there; never those that are read.")
 
 
+LONG_GAP = 0.1  # [s] between rows.
 PLAYED = Path("runs/moves")  # Folder for the moves that are played.
 SLOWDOWNS = (1.05 ** np.arange(24)).tolist()  # Of a move, until the motors can follow it.
 
@@ -206,10 +207,14 @@ def scenario_to_play(scenario: Scenario, name: str, force: bool) -> Scenario:
 
 
 def _tell_notes(given: dict[str, Move]) -> None:
-    """Prints by how much the recorded rows were changed as they were read."""
+    """Prints by how much the recorded rows were changed as they were read, and long gaps between them."""
     for name, move in given.items():
         if note := motion_of(move).note:
             print_line(f"{name}: {note}")
+        gaps = np.diff(move.time)
+        if (gap := gaps.max()) > max(LONG_GAP, 5.0 * np.median(gaps)):
+            at = move.time[int(gaps.argmax())]
+            print_line(f"{name}: no rows for {gap:.3g} s after {at:.3g} s, where the motion is a guess")
 
 
 def _place(source: str, names: Iterable[str], out: Path, force: bool) -> Path:

@@ -155,6 +155,8 @@ def files_of(source: str) -> list[Path]:
     if source == "dances" or source.startswith("dance:"):
         return []
     path = Path(source)
+    if not path.exists() and path.suffix != ".json":
+        raise ConfigurationError("move", source, f"FILE.json, a folder, or for a dance dance:{source}")
     files = sorted(path.glob("*.json")) if path.is_dir() else [path]
     if not files:
         raise ConfigurationError("move", source, "a folder with files that end in .json")

@@ -37,6 +37,11 @@ class PacedMotion:
         """Replaces the motion by another one that begins at the same pose."""
         self._motion = motion
 
+    @property
+    def source(self) -> object:
+        """What a motion follows that has a source outside, or None."""
+        return getattr(self._motion, "source", None)
+
     def close(self) -> None:
         """Ends a motion that has a source outside."""
         getattr(self._motion, "close", lambda: None)()

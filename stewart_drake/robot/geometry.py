@@ -6,12 +6,14 @@ Messages name the leg, the number and the likely mistake: millimetres, a mirrore
 from __future__ import annotations
 
 import math
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.robot.leg import DIRECTION_TOLERANCE, LARGEST_SIZE, LEG_COUNT, crank_angles, crank_equation
+from stewart_drake.robot.symmetry import doubts, regular
 
 if TYPE_CHECKING:
     from stewart_drake.robot.robot_parameters import RobotParameters
@@ -43,8 +45,18 @@ def check_order(shafts: np.ndarray, joints: np.ndarray) -> None:
         raise ConfigurationError("robot.legs.0.platform_joint", joints[0].tolist(), allowed)
     if wrong.any():
         one, other = sorted((int(order[wrong][0]), int(following[wrong][0])))
-        allowed = f"a joint [m] that is not beyond leg {other}'s; are the joints of legs {one} and {other} swapped?"
+        allowed, swapped = f"a joint [m] that is not beyond leg {other}'s", [(one, other)]
+        if doubts(shafts, joints):  # Legs have a pattern: joints are swapped if an exchange restores it.
+            swapped = [pair for pair in combinations(range(LEG_COUNT), 2) if _restored(shafts, joints, pair)]
+        allowed += "; are the joints of legs {} and {} swapped?".format(*swapped[0]) if swapped else ""
         raise ConfigurationError(f"robot.legs.{one}.platform_joint", joints[one].tolist(), allowed)
+
+
+def _restored(shafts: np.ndarray, joints: np.ndarray, pair: tuple[int, int]) -> bool:
+    """Whether all legs have one pattern once the joints of a pair of them are exchanged."""
+    exchanged = joints.copy()
+    exchanged[list(pair)] = joints[list(pair[::-1])]
+    return regular(shafts, exchanged)
 
 
 def _check_home(robot: RobotParameters) -> None:

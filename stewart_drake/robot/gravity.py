@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from stewart_drake.base.config import Phase, Real, check_value, with_message
+from stewart_drake.base.config import Real, check_value, with_message
 from stewart_drake.robot.leg import LARGEST_SIZE, Signed3
 
 Gravity = float | Sequence[float] | np.ndarray
@@ -22,8 +22,10 @@ GravityKey = Annotated[
     with_message("a number, along -z, or three numbers gx, gy, gz, such as 0, 0, -9.81"),
 ]
 """Gravity in a file."""
+_Angle = Annotated[Real, Field(ge=-3.1417, le=3.1417)]  # As 3.1416 is written for half a turn.
 Orientation = Annotated[
-    tuple[Phase, Phase, Phase], with_message("roll, pitch, yaw [rad], each within a turn; in degrees?")
+    tuple[_Angle, _Angle, _Angle],
+    with_message("roll, pitch, yaw [rad]: three numbers within half a turn, not in degrees"),
 ]
 
 

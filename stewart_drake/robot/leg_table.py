@@ -35,6 +35,7 @@ _POLAR = {
 """Columns in polar coordinates about z -> the columns that they replace. Angles may also be in rad, as crank_rad."""
 _PAIR_RATIO = 1.5  # [-] Least distance of a shaft to the other shafts, over that to its partner, for clear pairs.
 _SIDE = 0.05  # [-] Least sine of the angle between a partner and the centre.
+_LARGE = 3.0  # [m] of most points from the origin, for which the unit is doubtful.
 _DOUBLED = 1e-3  # [-] Least distance of two shafts, over that from z.
 LEVEL_SPREAD = 0.01  # [-] Largest difference of the heights at which cranks are level, over the rod's length.
 _ALL_LENGTHS = ("crank_length", "rod_length", "home_height", "link_radius", "characteristic_length")
@@ -53,6 +54,7 @@ class FromTable(NamedTuple):
 
     parameters: Document  # Of `RobotParameters`.
     pairs: tuple[tuple[int, int], ...]  # Legs of paired motors; empty if pairs are not needed.
+    outwards: bool  # Whether cranks point outwards because no column has their directions.
     warning: str  # A likely mistake; empty if none.
 
 
@@ -109,7 +111,8 @@ def from_table(
     known = _parameters(points | directions | lengths, columns, known) | known
     # A wrong point is no mirrored crank.
     level = [] if doubted and not doubted[0].startswith("the crank ") else _spread(levels, lengths["rod_length"])
-    return FromTable(_inertias(known) | known, pairs, "; ".join([*level, *doubted]))
+    outwards = cranks == "outwards" and "crank_x" not in columns
+    return FromTable(_inertias(known) | known, pairs, outwards, "; ".join([*level, *doubted]))
 
 
 def _parameters(of_legs: dict[str, np.ndarray], columns: Mapping[str, np.ndarray], known: Document) -> Document:
@@ -141,9 +144,11 @@ def _explained(doubted: Sequence[str]) -> Iterator[None]:
 def _check_points(shafts: np.ndarray, joints: np.ndarray) -> None:
     """Refuses points that are far away, doubled or out of order."""
     for end, points in (("shaft", shafts), ("joint", joints)):
-        leg = int(np.abs(points).max(axis=-1).argmax())
-        if np.abs(points[leg]).max() > MOST:
-            allowed = f"a position within {MOST:g} m; is the unit mm?"
+        far = np.abs(points).max(axis=-1)
+        leg = int(far.argmax())
+        if far[leg] > MOST:
+            of_others = f"of the others within {np.delete(far, leg).max():.4g} m: is the decimal point right?"
+            allowed = f"a position within {MOST:g} m; {'is the unit mm?' if np.median(far) > _LARGE else of_others}"
             raise ConfigurationError(f"table: {end} of leg {leg}", points[leg].tolist(), allowed)
     apart = np.linalg.norm(shafts[:, None] - shafts, axis=-1) + np.diag(np.full(LEG_COUNT, np.inf))
     one, other = np.unravel_index(int(apart.argmin()), apart.shape)
@@ -181,8 +186,9 @@ def _columns(table: str | Path | ArrayLike | Mapping[str, np.ndarray], scale: fl
         key = f"table {table}"
         text = read_checked(table, key, _MAX_BYTES).decode("utf-8-sig", "replace")
         lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-        names, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines)] or [[]]
+        names, *rows = [[cell.strip() for cell in row] for row in csv.reader(lines, skipinitialspace=True)] or [[]]
         _check_header(f"{key}: header", names)
+        rows = [_numbers(key, row, names, cells) for row, cells in enumerate(rows)]
     allowed = f"{LEG_COUNT} rows, one per leg, of {', '.join(names)}"
     try:
         values = np.asarray(rows, dtype=float)
@@ -202,6 +208,25 @@ def _columns(table: str | Path | ArrayLike | Mapping[str, np.ndarray], scale: fl
         allowed = "0 to 5, or 1 to 6, in this order: the first row is leg 0"
         raise ConfigurationError("table: leg", numbers.tolist(), allowed)
     return columns
+
+
+def _numbers(key: str, row: int, names: Sequence[str], cells: Sequence[str]) -> list[float]:
+    """Numbers of a row of a CSV file; names row and column of what is none."""
+    if len(cells) != len(names):
+        hint = "; a decimal comma? numbers need a decimal point" if len(cells) > len(names) else ""
+        raise ConfigurationError(f"{key}: row {row + 1}", f"{len(cells)} cells", f"{len(names)} cells{hint}")
+    values = []
+    for name, cell in zip(names, cells, strict=True):
+        try:
+            values.append(float(cell))
+        except ValueError:
+            hint = "; a decimal comma? numbers need a decimal point" if "," in cell else ""
+            place = f"{key}: row {row + 1}, {name}"
+            raise ConfigurationError(place, cell, f"a number{hint}" if cell else "a number in every cell") from None
+        if name in ("low", "high") and 2.0 * math.pi + 0.01 < abs(values[-1]) <= LARGEST_SIZE:
+            allowed = f"an angle [rad] within a turn; {cell} deg are {math.radians(values[-1]):.4g} rad"
+            raise ConfigurationError(f"{key}: row {row + 1}, {name}", values[-1], allowed)
+    return values
 
 
 def _cartesian(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -246,6 +271,9 @@ def _check_header(key: str, given: Sequence[str]) -> None:
     groups = [group for group in _GROUPS if set(group) & set(names)]
     missing = [name for group in (_POSITIONS, *groups) for name in group if name not in names]
     strange = [name for name in names if name not in (*_POSITIONS, *_OTHERS, "leg") or names.count(name) > 1]
+    if any(";" in name for name in given):
+        allowed = "commas between columns, and a decimal point in numbers; save it as CSV with commas"
+        raise ConfigurationError(key, "semicolons", allowed)
     if missing or strange:
         wrong = f"without {', '.join(missing)}" if missing else f"with {', '.join(dict.fromkeys(strange))}"
         allowed = f"each once: {', '.join(_POSITIONS)}, and optionally, in groups, {', '.join(_OTHERS)}, leg; "

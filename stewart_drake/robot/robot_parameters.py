@@ -241,6 +241,8 @@ class RobotParameters(Section, key="robot"):
     """(6, 2) [rad] lowest and highest theta; infinite without a stop."""
     servo_gains = _of_legs("servo_gain", lambda _: np.ones(LEG_COUNT))
     """(6,) [-] angles of the cranks over those that their motors are commanded and read."""
+    servo_middles = _of_legs("servo_middle", lambda _: np.full(LEG_COUNT, np.nan))
+    """(6,) [rad] readings of the servos in the middle of their travel; NaN for those at home."""
     _crank_ups = _of_legs("crank_quarter_direction", lambda _: np.tile([0.0, 0.0, 1.0], (LEG_COUNT, 1)))
     effort_limits = _of_legs("effort_limit", lambda r: np.full(LEG_COUNT, r.effort_limit))
     """(6,) [N m] largest torques of the motors."""
@@ -343,8 +345,9 @@ class RobotParameters(Section, key="robot"):
         for leg, branch, angles in zip(legs, self.branches, self.crank_angle_ranges, strict=True):
             leg["branch"] = int(branch)
             leg["crank_angle_range"] = angles.tolist() if np.isfinite(angles[0]) else None
-        for leg, gain in zip(legs, self.servo_gains.tolist(), strict=True):
+        for leg, gain, middle in zip(legs, self.servo_gains.tolist(), self.servo_middles.tolist(), strict=True):
             leg["servo_gain"] = None if gain == 1.0 else gain
+            leg["servo_middle"] = None if math.isnan(middle) else middle
         return legs
 
     @cached_property

@@ -69,6 +69,11 @@ def doubts(shafts: np.ndarray, joints: np.ndarray, others: Mapping[str, np.ndarr
     return [*result, *_turned(shafts, joints), *(_unlikely(shafts, others, radius) if others else ())]
 
 
+def regular(shafts: np.ndarray, joints: np.ndarray) -> bool:
+    """Whether every leg (6, 3) [m], turned by a third, is another one."""
+    return bool(_matches({"shaft": shafts, "joint": joints}).any(axis=1).all())
+
+
 def _turned_by_a_third(legs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name: values @ _THIRD.T if values.ndim == 2 else values for name, values in legs.items()}
 

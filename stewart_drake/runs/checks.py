@@ -66,7 +66,7 @@ def check_scenario(scenario: Scenario) -> None:
             report.raise_if_infeasible()
         except InfeasibleReferenceError as error:
             hints = _unit_hints(scenario.reference) if isinstance(scenario.reference, Section) else []
-            hints = hints or _length_hint(scenario)
+            hints = hints or _length_hint(scenario) or _base_hint(scenario)
             hints = hints or _remedies(scenario, report, error.limit)
             error.allowed = "; ".join([error.allowed, *hints])
             raise
@@ -96,6 +96,16 @@ def _length_hint(scenario: Scenario) -> list[str]:
     return [f"the motion goes to {farthest:.4g} m: are its lengths in mm?"] if farthest > _LARGEST["m"] else []
 
 
+def _base_hint(scenario: Scenario) -> list[str]:
+    """A hint where only the base is in the way of a platform that is kept level."""
+    if (
+        scenario.base_compensation != "level"
+        or not motion_report(scenario.replace({"base_compensation": "none"})).feasible
+    ):
+        return []
+    return ["base.motion is too large for a platform kept level (base_compensation); without that it is feasible"]
+
+
 def _remedies(scenario: Scenario, report: feasibility.FeasibilityReport, limit: str) -> list[str]:
     """Texts on a feasible size and a feasible speed of the motion, from some samples and those of smallest margin."""
     motion, times = scenario.reference, feasibility.checked_times(scenario.duration)
@@ -106,7 +116,7 @@ def _remedies(scenario: Scenario, report: feasibility.FeasibilityReport, limit: 
         slower = times / speed
         signals = adjusted(motion, scale, 1.0 / speed).evaluate(slower)
         return feasibility.check_motion(
-            scenario.robot, scenario.limits, slower, *signals, scenario.gravity_in_base
+            scenario.robot, scenario.limits, slower, *signals, scenario.gravity_at(slower)
         ).feasible
 
     with user_code(scenario), np.errstate(all="ignore"):
@@ -148,11 +158,13 @@ def _check_rates(scenario: Scenario) -> None:
 
 
 def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:
-    motion = (scenario.robot, scenario.limits, scenario.asked, scenario.duration, scenario.gravity_in_base)
+    """Margins to the limits along the motion, with that of the base."""
+    time = feasibility.checked_times(scenario.duration)
     try:
         # Overflows are reported as a violated limit or as a signal that is not finite.
         with user_code(scenario), np.errstate(all="ignore"):
-            return feasibility.check_reference(*motion)
+            motion, gravity = scenario.asked.evaluate(time), scenario.gravity_at(time)
+            return feasibility.check_motion(scenario.robot, scenario.limits, time, *motion, gravity)
     except ControllerError as error:
         if isinstance(error.__cause__, ConfigurationError):
             raise error.__cause__ from None
@@ -180,8 +192,12 @@ def plant_report(scenario: Scenario) -> feasibility.FeasibilityReport:
     if not names:
         return feasibility.FeasibilityReport({}, None)
     with user_code(scenario), np.errstate(all="ignore"), suppress(RunFailure, np.linalg.LinAlgError):
-        pose, rate, acceleration = scenario.asked.evaluate(time)
-        torque = inverse_dynamics(plant.loaded(robot), pose, rate, acceleration, scenario.gravity_in_base)
+        pose, rate, _ = motion = scenario.asked.evaluate(time)
+        loaded, gravity = plant.loaded(robot), scenario.gravity_at(time)
+        if isinstance(gravity, np.ndarray):
+            torque = np.array([inverse_dynamics(loaded, *row) for row in zip(*motion, gravity, strict=True)])
+        else:
+            torque = inverse_dynamics(loaded, *motion, gravity)
         to_cranks, wrench = twist_jacobian(robot, pose), total_wrench(pushes, time)
         torque -= np.linalg.solve(np.swapaxes(to_cranks, -1, -2), wrench[..., None])[..., 0]
         speed = (to_cranks @ pose_rate_to_twist(pose, rate)[..., None])[..., 0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -23,7 +24,7 @@ from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinem
 from stewart_drake.references.paced import RAMP, PacedMotion
 from stewart_drake.robot import RobotParameters
 from stewart_drake.safety import LEVELS, standstill_text
-from stewart_drake.safety.stream import StreamReference, Targets
+from stewart_drake.safety.stream import StreamReference, Targets, UdpTargets
 from stewart_drake.scenario.controller import Controller
 from stewart_drake.scenario.scenario import Scenario
 
@@ -40,7 +41,8 @@ MIN_DURATION = 0.1  # [s] of a motion.
 HOLD_TIME = 0.3  # [s] at rest at the end, until the machine is disconnected.
 COMMAND_DELAY = 0.03
 """[s] Longest delay of a command; three ticks if that is longer. A commanded angle differs from the last one that has
-arrived by at most the path in this time plus `APPROACH_SPEED` times it."""
+arrived by at most the path and the change of the lead in this time, plus `APPROACH_SPEED` times it. The lead is how far
+a command is beyond the path so that a servo gives its torque."""
 MAX_FAR_READINGS = 2
 """Readings in a row that are far from the path, until the robot is stopped. A single one may be wrong."""
 HOLD_REASONS = "not_following", "not_moving", "holding"
@@ -210,6 +212,8 @@ class Drive:
         self._period = self._controller.period
         self._clock, self._now = TickClock(self._period), 0.0
         self._command_delay = max(COMMAND_DELAY, 3.0 * self._period)
+        # (6,) [rad] leads in this time, the oldest first.
+        self._leads = deque[np.ndarray](maxlen=1 + round(self._command_delay / self._period))
         self._held: np.ndarray | None = None  # (6,) [rad] Angles at which the robot is held.
         self._deadline = np.inf  # [s] End of the drive on the monotonic clock, set by a stop.
         self._holding_ticks = 0  # Ticks in a row in which the machine followed no command.
@@ -263,9 +267,12 @@ class Drive:
         if ended_by is not None and not self._rows:
             raise ended_by
         fields = self._rows.log_fields(ended_by, safety=self._controller.first_trip, wall_time=self._wall_time)
-        if (odd := self.odd_tick) is not None:
-            tick = {"name": "machine_tick", "time": self.time, "number": self._clock.tick, "text": odd}
-            fields["warnings"] = (*fields["warnings"], tick)
+        source, odd = self._motion.source, self.odd_tick
+        heard = source.warning if isinstance(source, UdpTargets) else None
+        for name, found in (("machine_tick", odd and (self._clock.tick, odd)), ("targets", heard)):
+            if found:
+                warning = {"name": name, "time": self.time, "number": float(found[0]), "text": found[1]}
+                fields["warnings"] = (*fields["warnings"], warning)
         return SimulationLog(**fields)
 
     def go(self, progress: Callable[[float], None] | None = None) -> RunFailure | KeyboardInterrupt | None:
@@ -383,14 +390,18 @@ class Drive:
         """Keeps commanded angles near the reading, and nearer to the last command that has arrived."""
         if not self._servos:
             return
-        command = self._command if self._held is None else self._held
         times = now + np.array([0.0, self._preview, self._preview - self._command_delay])
         here, ahead, before = inverse_kinematics(self._robot, self._motion.evaluate(np.maximum(times, 0.0))[0])
-        distance = (self._max_error if self._machine.reads else np.inf) + np.abs(ahead - here)
+        command, lead = self._command.copy() if self._held is None else self._held, np.zeros(6)
+        if self._held is None and not self._driven.controller.feedback:
+            # It depends on no reading, so a wrong one cannot make it wrong.
+            lead = command - ahead
+        self._leads.append(lead)
+        distance = (self._max_error if self._machine.reads else np.inf) + np.abs(ahead - here) + np.abs(lead)
         command = np.clip(command, reading.angles - distance, reading.angles + distance)
         sent = self.latest.sent if self._rows else reading.angles
         arrived = sent if reading.arrived is None else reading.arrived
-        step = np.abs(ahead - before) + APPROACH_SPEED * self._command_delay
+        step = np.abs(ahead - before) + np.abs(lead - self._leads[0]) + APPROACH_SPEED * self._command_delay
         if self._far_readings >= MAX_FAR_READINGS:
             step = np.full(6, np.inf)
         self._command[:] = np.clip(command, arrived - step, arrived + step)

@@ -23,6 +23,7 @@ from stewart_drake.safety.stream_laws import ROWS, StreamParams, StreamState, st
 Targets = Callable[[float], np.ndarray]
 """The newest target (6,) [rad, m] at a time [s] of the motion; NaN for none."""
 NO_TARGET = np.full(6, np.nan)
+_SHARE = 0.9  # Of `safety.workspace`, in which targets are put: readings and their prediction are also off.
 _MOST_DATAGRAMS, _LONGEST = 1000, 1000  # Read at a time; bytes.
 
 
@@ -30,8 +31,9 @@ class StreamReference(Section, key="reference"):
     """Target poses from outside, as they come: over UDP, from Python, or from a file.
 
     A filter follows the newest target with bounded speed and acceleration, and never leaves `limits`, whatever is sent:
-    it rests at the nearest pose that it can take. It begins at home, and holds the last target when none comes. What is
-    no pose is dropped. `drive` listens at `udp`; a simulation does not, and plays the file, or holds home without one.
+    it rests at the nearest pose that it can take. Targets outside of nine tenths of `safety.workspace` are moved into
+    it, towards home. It begins at home, and holds the last target when none comes. What is no pose is dropped. `drive`
+    listens at `udp`; a simulation does not, and plays the file, or holds home without one.
     """
 
     kind: Literal["stream"] = "stream"
@@ -39,8 +41,8 @@ class StreamReference(Section, key="reference"):
     """File with targets, in the form of a recorded motion, for simulation; a target is held until the next row's
     time."""
     udp: Text | None = None
-    """Address at which `drive` listens for targets, HOST:PORT. A datagram is one line of text, numbers between commas,
-    semicolons or spaces."""
+    """Address at which `drive` listens for targets, HOST:PORT. A datagram is one line of text with as many numbers as
+    `columns`, between commas, spaces, or semicolons; with semicolons a comma is a decimal point."""
     columns: tuple[Text, ...] = ("roll_deg", "pitch_deg", "yaw_deg", "x_mm", "y_mm", "z_mm")
     """Meaning of the numbers in a line, in order: names with units as in tables of poses; others are ignored."""
     relative: Flag = False
@@ -58,7 +60,7 @@ class StreamReference(Section, key="reference"):
     reserve: Annotated[Positive, Field(le=0.1)] = 0.005
     """[-] distance that is kept from every limit, in its unit or, for clearance, speeds and torques, as a share of the
     robot's size or of the limit."""
-    _setup: tuple[np.ndarray, Callable[[], Space]] | None = PrivateAttr(None)
+    _setup: tuple[np.ndarray, Callable[[], Space], tuple[float, float]] | None = PrivateAttr(None)
 
     def rules(self) -> None:
         """Columns are those of a pose, the address has a port."""
@@ -66,16 +68,16 @@ class StreamReference(Section, key="reference"):
         if self.udp is not None:
             address_of(self.udp)
 
-    def bound(self, home: np.ndarray, space: Callable[[], Space]) -> Self:
-        """The reference of a robot with a home (6,) and its limits."""
+    def bound(self, home: np.ndarray, space: Callable[[], Space], workspace: tuple[float, float] | None = None) -> Self:
+        """The reference of a robot with a home (6,), its limits, and `safety.workspace`."""
         made = copy.copy(self)
         for name in ("params", "_recorded", "_targets"):
             made.__dict__.pop(name, None)
-        made._setup = home, space
+        made._setup = home, space, workspace or (np.inf, np.inf)
         return made
 
     @property
-    def _robot(self) -> tuple[np.ndarray, Callable[[], Space]]:
+    def _robot(self) -> tuple[np.ndarray, Callable[[], Space], tuple[float, float]]:
         if self._setup is None:
             raise ConfigurationError("reference.kind", "stream", "another kind within a sum or an adjusted motion")
         return self._setup
@@ -94,7 +96,9 @@ class StreamReference(Section, key="reference"):
             allowed = f"less than the least relative margin of the robot at home, {least:.3g}"
             raise ConfigurationError("reference.reserve", self.reserve, allowed)
         bounds = {"speed": [self.turn_speed, self.speed], "acceleration": [self.turn_acceleration, self.acceleration]}
-        return StreamParams.new(space=space, period=self.period, reserve=self.reserve, **bounds)
+        workspace = _SHARE * np.array(self._robot[2])
+        numbers = {"period": self.period, "reserve": self.reserve, "home": home, "workspace": workspace}
+        return StreamParams.new(space=space, **numbers, **bounds)
 
     def part(self, ahead: float) -> Part:
         """The filter as a part of a loop, from the signal `target` (6,) to the reference now and `ahead` [s]."""
@@ -145,9 +149,16 @@ class StreamReference(Section, key="reference"):
     def target_of(self, line: bytes) -> np.ndarray:
         """Target (6,) in a line of text; NaN if it is none."""
         try:
-            words = line.decode("ascii").replace(",", " ").replace(";", " ").split()
+            text = line.decode("ascii").strip()
+            if ";" in text:
+                text = text.replace(",", ".")
+            words = text.rstrip(";,").split(";" if ";" in text else "," if "," in text else None)
+            if len(words) != len(self.columns):
+                return NO_TARGET
             target = np.array([float(words[place]) * factor for place, factor in self._order])
         except (ValueError, IndexError):
+            return NO_TARGET
+        if not np.isfinite(target).all():
             return NO_TARGET
         return target + self.home if self.relative else target
 
@@ -159,10 +170,13 @@ class StreamMotion:
         params: Numbers of the filter.
         home: (6,) [rad, m] where it begins.
         source: The newest target at a time.
+
+    Attributes:
+        source: As given.
     """
 
     def __init__(self, params: StreamParams, home: np.ndarray, source: Targets) -> None:
-        self._params, self._period, self._source = params, float(params["period"][0]), source
+        self._params, self._period, self.source = params, float(params["period"][0]), source
         self._rows, self._probe = np.zeros((1, 18)), Probe.new()
         self._count, self._target = 1, home.copy()
         self._rows[0, :6] = home
@@ -180,7 +194,7 @@ class StreamMotion:
     def _append(self, n: int) -> None:
         if n >= len(self._rows):
             self._rows = np.concatenate([self._rows, np.zeros((max(256, n), 18))])
-        target = np.asarray(self._source(n * self._period), dtype=float)
+        target = np.asarray(self.source(n * self._period), dtype=float)
         if target.shape == (6,) and np.isfinite(target).all():
             self._target[:] = target
         stream_rows(self._params, np.stack([self._target] * 2), self._probe, self._rows[n - 1 : n + 1])
@@ -188,15 +202,20 @@ class StreamMotion:
 
     def close(self) -> None:
         """Closes its source."""
-        if isinstance(self._source, UdpTargets):
-            self._source.close()
+        if isinstance(self.source, UdpTargets):
+            self.source.close()
 
 
 class UdpTargets:
-    """Targets in datagrams; the newest that is a pose counts."""
+    """Targets in datagrams; the newest that is a pose counts.
+
+    Attributes:
+        address: Host and port at which it listens.
+    """
 
     def __init__(self, options: StreamReference) -> None:
         self._options, self._latest = options, NO_TARGET
+        self._asked, self._read, self._dropped, self._last_dropped = False, 0, 0, b""
         host, port = address_of(str(options.udp))
         try:
             family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
@@ -210,16 +229,32 @@ class UdpTargets:
             allowed = f"an address of this computer with a free port ({error.strerror or error})"
             raise ConfigurationError("reference.udp", options.udp, allowed) from None
         self._line.setblocking(False)
-        self.port = int(self._line.getsockname()[1])
+        self.address = f"{host}:{self._line.getsockname()[1]}"
+
+    @property
+    def warning(self) -> tuple[int, str] | None:
+        """Datagrams that were used, and a text where none came or some were dropped."""
+        used = self._read - self._dropped
+        if self._asked and not self._read:
+            return used, f"no target came at {self.address}"
+        if not self._dropped:
+            return None
+        last = repr(self._last_dropped.decode("ascii", "backslashreplace")[:80])
+        wanted = f"{len(self._options.columns)} finite numbers"
+        return used, f"{self._dropped} of {self._read} datagrams are not {wanted} and were dropped, the last {last}"
 
     def __call__(self, time: float) -> np.ndarray:  # noqa: ARG002
+        self._asked = True
         for _ in range(_MOST_DATAGRAMS):
             try:
                 line = self._line.recv(_LONGEST)
             except OSError:
                 break
-            target = self._options.target_of(line)
-            self._latest = target if np.isfinite(target).all() else self._latest
+            target, self._read = self._options.target_of(line), self._read + 1
+            if np.isfinite(target).all():
+                self._latest = target
+            else:
+                self._dropped, self._last_dropped = self._dropped + 1, line
         return self._latest
 
     def close(self) -> None:

@@ -31,6 +31,7 @@ ROWS = 8
 """Rows that the filter keeps, for the reference between the time of its commands and now."""
 _LOOK_AHEAD = 0.1  # Distance to the point that is aimed at, from where the platform can rest; over the robot's length.
 _SHARES = 8  # Accelerations that are tried, each half as far from braking as the one before.
+_TURNS = 4  # Corrections of a target: the angle of a rotation is only nearly in proportion to roll, pitch and yaw.
 _LARGEST = 1e3  # [rad, m] larger targets are dropped.
 
 
@@ -43,6 +44,8 @@ class StreamParams(Record):
     reserve: float  # Least relative margin of all limits.
     speed: Vec2  # [rad/s, m/s] largest speed: size of the rates of roll, pitch and yaw, and of the velocity.
     acceleration: Vec2  # [rad/s^2, m/s^2]
+    home: Vec6  # [rad, m]
+    workspace: Vec2  # [rad, m] largest distance of targets from home: angle of the rotation, and distance of P.
 
 
 class StreamState(Record):
@@ -108,10 +111,26 @@ def _is_safe(params: StreamParams, row: Vec18, probe: Probe) -> bool:
 
 
 @njit
+def _near_home(params: StreamParams, pose: Vec6) -> None:
+    """Moves a pose (6,) towards home, into the workspace."""
+    way, share = np.empty(6), np.empty(2)
+    for _ in range(_TURNS):
+        difference(1.0, params.home[:], pose, way)
+        for part in range(2):
+            size, most = _part_size(way, part), params.workspace[part]
+            share[part] = most / size if size > most else 1.0
+        if share[0] == 1.0 and share[1] == 1.0:
+            return
+        for k in range(6):
+            pose[k] = params.home[k] + (share[0] if k < 3 else share[1]) * (pose[k] - params.home[k])
+
+
+@njit
 def _aim(params: StreamParams, target: Vec6, rest: Vec6, probe: Probe, out: Vec6) -> None:
     """A pose near one of rest (6,), within the limits, on the way to a target or along the limits."""
     space, step, still = params.space, np.empty(6), np.zeros(6)
     canonical(target, rest, out)
+    _near_home(params, out)
     goal = out.copy()
     reserve = 1.5 * params.reserve
     distance, radius = difference(space.weight, rest, goal, step), _LOOK_AHEAD * space.robot.length

@@ -235,7 +235,9 @@ class ControlOptions(Section):
             usual = 0.005 * robot.characteristic_length / PAPER.characteristic_length
             limits = getattr(self, "limits", None) or ReferenceLimits(clearance=usual)
             # A copy, because other options may have the same reference.
-            bound = self.reference.bound(robot.home_pose, partial(space_of, robot, limits, gravity))
+            workspace = None if self.safety is None else self.safety.workspace
+            space = partial(space_of, robot, limits, gravity)
+            bound = self.reference.bound(robot.home_pose, space, workspace)
             self.__dict__["reference"] = bound
         if self.controller_model.robot.tool is not None:
             for place, motion in placed(self.reference, RecordedReference, "reference"):

@@ -9,6 +9,7 @@ import numpy as np
 
 from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError, RunFailure
+from stewart_drake.base.keys import join_or
 from stewart_drake.base.sampling import InBlocks
 from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.motors import within_limit
@@ -47,7 +48,8 @@ class Controller:
     def __init__(
         self, options: ControlOptions, sources: Mapping[str, Callable[[float], np.ndarray]] | None = None
     ) -> None:
-        side = control_side(options, split=True, streams="target" in (sources or {}))
+        given = dict(sources or {})
+        side = control_side(options, split=True, streams="target" in given)
         self._age, self._options = np.zeros(1), options
         parts, self._safe = controller_parts(options, side, self._age), side.safety is not None
         self.period, self._tick, self.reading = options.reading_period, side.context.period, side.context.reading
@@ -55,8 +57,13 @@ class Controller:
         evaluated: dict[str, Callable[[float], np.ndarray]] = {
             source.signal: InBlocks(source.evaluate, self.period).at_time for source in side.sources
         }
-        evaluated |= {name: evaluate for name, evaluate in (sources or {}).items() if name in evaluated}
-        self._sources = [(self._running.signal(name), evaluate) for name, evaluate in evaluated.items()]
+        # A controller that does not look ahead needs no reference_ahead.
+        unknown = given.keys() - evaluated.keys() - ({"reference_ahead"} if "reference" in evaluated else set())
+        if unknown:
+            also = "; target is for a reference of kind stream" if "target" in unknown else ""
+            raise ConfigurationError("sources", ", ".join(sorted(unknown)), f"{join_or([*evaluated])}{also}")
+        evaluated |= {name: evaluate for name, evaluate in given.items() if name in evaluated}
+        self._sources = [(name, self._running.signal(name), evaluate) for name, evaluate in evaluated.items()]
         there = self._running.places
         self.logged = {name: of for name, of in side.logged.items() if not isinstance(of, str) or of in there}
         self._monitors = () if options.safety is None else options.safety.monitor_names
@@ -118,8 +125,12 @@ class Controller:
             raise failure_of(error, self._options) from error
 
     def _run(self, now: float, out: np.ndarray) -> None:
-        for signal, evaluate in self._sources:
-            signal[:] = evaluate(now)
+        for name, signal, evaluate in self._sources:
+            values = np.asarray(evaluate(now))
+            if values.shape != signal.shape:
+                allowed = f"a function that returns an array of shape {signal.shape}"
+                raise ConfigurationError(f"sources: {name}", f"one of shape {values.shape}", allowed)
+            signal[:] = values
         self._running.run(self._ticks)
         if not all_finite(self._command):
             raise NotFiniteError("command", self._command.copy())

@@ -156,10 +156,13 @@ def limit_margins(
     pose_acceleration: np.ndarray,
     gravity: Gravity,
 ) -> dict[str, np.ndarray]:
-    """Margins (n, k) of a motion (n, 6) to the limits that are on, by `PLACES`; NaN where a rod cannot span."""
+    """Margins (n, k) of a motion (n, 6) to the limits that are on, by `PLACES`; NaN where a rod cannot span.
+
+    `gravity`: see `measure`.
+    """
     m = measure(robot, pose, pose_rate, pose_acceleration, gravity)
     reached = m["assembly_sign"][~np.isnan(m["assembly_sign"])]
-    numbers, rows = pose_limits(robot, limits, gravity), np.empty((len(m), MARGINS))
+    numbers, rows = pose_limits(robot, limits, 0.0), np.empty((len(m), MARGINS))
     numbers["assembly_sign"] = reached[:1].sum()
     over_rows(margin_rows, (numbers,), (np.array(pose, dtype=float, order="C"), m, rows))
     return {name: rows[:, COLUMNS[name]] for name in limit_bounds(robot, limits)}
@@ -225,10 +228,15 @@ _BLOCK = 1 << 16  # poses whose measures are kept at a time
 def measure(
     robot: RobotParameters, pose: np.ndarray, pose_rate: np.ndarray, pose_acceleration: np.ndarray, gravity: Gravity
 ) -> np.ndarray:
-    """`Measures` records (n,) of a motion (n, 6)."""
+    """`Measures` records (n,) of a motion (n, 6).
+
+    `gravity` may be a reading (n, 9) of the base's inertial unit for every row.
+    """
+    readings = gravity if isinstance(gravity, np.ndarray) and gravity.ndim == 2 else base_reading(gravity)
+    bases = np.array(np.broadcast_to(readings, (len(pose), 9)), dtype=float, order="C")
     motion = [np.array(rows, dtype=float, order="C") for rows in (pose, pose_rate, pose_acceleration)]
     measures = np.full((len(motion[0]), Measures.layout.itemsize // 8), np.nan).view(Measures.layout)[:, 0]
-    over_rows(measure_rows, (robot_record(robot), base_reading(gravity), 2.0 * robot.link_radius), (*motion, measures))
+    over_rows(measure_rows, (robot_record(robot), 2.0 * robot.link_radius), (bases, *motion, measures))
     return measures
 
 

@@ -29,6 +29,7 @@ from stewart_drake.hardware.motors import LinkOptions, MotorOptions, TorqueMotor
 from stewart_drake.hardware.moving_base import BaseOptions, base_signal
 from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.plant.plant_options import DrakeOptions, PlantOptions
 from stewart_drake.references import RecordedReference
 from stewart_drake.references.motions import Reference
@@ -142,6 +143,12 @@ class Scenario(ControlOptions):
         """Those of the simulation."""
         return self.gravity, self.base.orientation
 
+    def gravity_at(self, times: np.ndarray) -> FixedGravity | np.ndarray:
+        """Gravity in B, or where the base moves what its inertial unit reads (n, 9) at times (n,) [s]."""
+        if self.base.motion is None:
+            return self.gravity_in_base
+        return base_signal(self.base.motion, self.gravity_in_base, times)[:, :9]
+
     @property
     def gravity_in_base(self) -> FixedGravity:
         """[m/s^2] gravity in B, at its mean position: a number along -z, or a vector."""
@@ -228,7 +235,10 @@ def load_controller(path: str | Path, overrides: Iterable[str] = (), trust_code:
 
 
 def load_driven(path: str | Path, overrides: Iterable[str] = (), trust_code: bool = False) -> Scenario:
-    """A scenario; or a controller's file as one, with the robot and motors of its model."""
+    """A scenario; or a controller's file as one, with the robot and motors of its model.
+
+    Motors that take torques also have the model's friction, which the controller compensates.
+    """
     try:
         file = find_file("scenario", path)
     except ConfigurationError as error:
@@ -245,6 +255,10 @@ def load_driven(path: str | Path, overrides: Iterable[str] = (), trust_code: boo
         sensors["imu"] = to_plain(control.controller_model.imu)
     trusted = all(part.code.trusted for part in user_parts(control))
     data = {**control.to_dict(), "robot": robot, "motors": motors, "sensors": sensors}
+    friction = control.controller_model.friction
+    if friction is not None and not control.controller_model.motors.holds:
+        names = FrictionOptions.__pydantic_fields__
+        data["plant"] = {"friction": {name: to_plain(getattr(friction, name)) for name in names}}
     return Scenario.from_dict(data, trust_code=trusted)
 
 

@@ -156,12 +156,32 @@ def test_the_command_gives_answer_reason_and_the_nearest_pose(call, tmp_path):
         (["reachy_mini", "--pose", "yaw=nan"], "--pose yaw: expected a finite number"),
         (["reachy_mini", "--pose", "yaw=3mm"], "--pose yaw: expected"),
         (["reachy_mini", "--pose", "yaw=3", "--weight", "-1mm"], "weight: expected a number above 0"),
+        (["reachy_mini", "--pose", "yaw=3,yaw=4"], "--pose: expected yaw once"),
+        (["reachy_mini", "--pose", "z=0.19"], "--pose z: expected a height of 1 mm or more, got '0.19 mm'; 0.19m for"),
+        (["reachy_mini", "--pose", "yaw=1e9"], "--pose: expected angles below 1000 rad, got"),
+        (["reachy_mini", "--pose", "yaw=3", "--in", "0"], "--in: expected a number of seconds above 0"),
         (["reachy_mini"], "give either --pose, or POSES.csv and --out"),
     ],
 )
 def test_bad_arguments_of_the_command_are_one_line(call, arguments, text):
     status, _, err = call("reach", *arguments)
     assert (status, err.count("\n"), text in err) == (2, 1, True)
+
+
+def test_the_nearest_pose_that_is_printed_can_be_taken(call):
+    for asked in ("yaw=70,z=190", "roll=50,x=40", "pitch=-60"):
+        out = call("reach", "reachy_mini", "--pose", asked)[1]
+        numbers = re.search(r"nearest \[deg, mm\]\D+?([-\d.]+(?: +[-\d.]+){5}) ", out)[1].split()
+        pairs = zip(("roll", "pitch", "yaw", "x", "y", "z"), numbers, strict=True)
+        again = ",".join(f"{axis}={number}" for axis, number in pairs if number not in ("0", "-0"))
+        assert json.loads(call("reach", "reachy_mini", "--pose", again, "--json")[1])["possible"], again
+
+
+def test_a_controllers_file_a_weight_in_mm_and_a_time_that_decides(call):
+    pose = ["--pose", "yaw=60", "--from-pose", "yaw=20", "--in", "0.02", "--json"]
+    answer = json.loads(call("reach", "reachy_servos", *pose)[1])
+    assert (answer["possible"], answer["limit"]) == (False, None)
+    assert "with 1 rad as 60 mm" in call("reach", "reachy_servos", "--pose", "yaw=60", "--weight", "60")[1]
 
 
 def test_the_page_holds(call, capsys):

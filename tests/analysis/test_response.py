@@ -59,3 +59,4 @@ def test_a_step_that_ends_elsewhere_does_not_settle():
     found = step_figures(time, 0.5 * time)
     assert np.isnan([found.rise_time, found.settling_time]).all()
     assert found.overshoot == 0.0
+    assert np.isnan(step_figures(time, np.array([0.0, *[1.1, 0.9] * 4, 1.1, 1.0])).settling_time)

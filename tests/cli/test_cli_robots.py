@@ -14,7 +14,7 @@ from strategies import ROBOT
 from stewart_drake.estimation.poses import MeasurementNoise, load_measurements
 from stewart_drake.estimation.torques import COULOMB, values_of
 from stewart_drake.mechanics.friction import FrictionOptions
-from stewart_drake.robot.robot_files import load_robot
+from stewart_drake.robot.robot_files import load_robot, save_robot
 from stewart_drake.scenario.scenario import load_scenario
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "estimation"))
@@ -64,6 +64,31 @@ def test_a_robot_goes_into_files_for_other_programs(call, tmp_path):
     assert (model.nu, model.neq, model.nv) == (6, 6, 24)
     assert model.joint("motor_3").damping == 0.1
     assert "<model name=" in (tmp_path / "robot.sdf").read_text()
+
+
+def test_gains_of_servos_are_shown_and_missed_in_other_files(call, tmp_path):
+    legs = [{"servo_gain": gain} for gain in (1.02, 0.97, 1, 1.03, 0.98, 1.01)]
+    save_robot(load_robot("paper").replace(legs=legs), tmp_path / "mine.yaml")
+    assert "1.02, 0.97, 1, 1.03, 0.98, 1.01" in call("robots", "show", "mine.yaml")[1]
+    status, _, err = call("write-mjcf", "mine.xml", "--robot", "mine.yaml")
+    assert status == 0
+    assert err == "stewart-drake: warning: mine.xml has no servo_gain of the legs: keep the robot's YAML file\n"
+
+
+def test_what_is_doubtful_at_home_and_the_default_of_cranks_are_lines(call, tmp_path):
+    (tmp_path / "points.csv").write_text((DOCS / "your_robot.csv").read_text())
+    given = ("--set", "crank_length=30", "--set", "rod_length=180", "--set", "link_radius=40", "--out", "mine.yaml")
+    status, out, err = call("robots", "from-table", "points.csv", "--unit", "mm", *given)
+    assert (status, out.splitlines()[0].partition(";")[0]) == (0, "level cranks point outwards from the centre")
+    assert err == "stewart-drake: warning: links of 40 mm radius collide at home: is link_radius right?\n"
+    # Joints right above the shafts: rods are parallel, and the platform can turn about z.
+    points = ("102, -41, 0", "102, 41, 0", "-16, 109, 0", "-86, 68, 0", "-86, -68, 0", "-16, -109, 0")
+    lines = [f"{point}, {point}" for point in points]
+    header = "shaft_x, shaft_y, shaft_z, joint_x, joint_y, joint_z"
+    (tmp_path / "points.csv").write_text("\n".join([header, *lines]))
+    status, out, err = call("robots", "from-table", "points.csv", "--unit", "mm", *given[:4], *given[6:])
+    assert (status, err.count("\n")) == (0, 1), err
+    assert "warning: home is near a singularity, conditioning 0.0" in err
 
 
 def test_a_robot_from_a_model_file_is_drawn(call, tmp_path):

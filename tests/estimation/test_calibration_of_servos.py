@@ -23,7 +23,16 @@ from stewart_drake.estimation.geometry import (
     transform,
     transform_of,
 )
-from stewart_drake.estimation.poses import INSTRUMENTS, Measurements, candidate_poses, load_measurements, plan_poses
+from stewart_drake.estimation.poses import (
+    INSTRUMENTS,
+    MeasurementNoise,
+    Measurements,
+    candidate_poses,
+    load_measurements,
+    plan_poses,
+)
+from stewart_drake.hardware.servos import PositionServos
+from stewart_drake.hardware.wiring import ServoOptions
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
 from stewart_drake.robot.robot_files import load_robot
 from stewart_drake.scenario.limits import ReferenceLimits
@@ -70,7 +79,7 @@ def test_servos_that_turn_right_keep_their_gain():
     found = calibrate(HOBBY, measured(truth, hobby("tracker").targets, noise, np.random.default_rng(1)), noise)
     assert found.fit == "geometry"
     assert (found.robot.servo_gains == 1.0).all()
-    assert [choice.fit for choice in found.choices] == ["all", "geometry", "servos", "offsets"]
+    assert [choice.fit for choice in found.choices] == ["all", "geometry", "servos", "offsets", "none"]
 
 
 @pytest.mark.parametrize(("instrument", "deg"), [("imu", 1.4), ("tilt", 2.0)])
@@ -91,9 +100,13 @@ def test_homing_offsets_from_angles_alone_with_mounting_and_heading_unknown(inst
     assert found.noise_ratio == pytest.approx(1.0, abs=0.3)
 
 
-def test_the_shipped_recording_of_an_imu_has_offsets_of_nearly_nothing():
-    found = calibrate(HOBBY, SHIPPED)
-    assert found.fit == "offsets"
+def test_the_shipped_recording_of_an_imu_shows_nothing_that_is_off_and_the_guess_is_kept():
+    kept = calibrate(HOBBY, SHIPPED)
+    assert (kept.fit, kept.robot) == ("none", HOBBY)
+    assert [line.partition(":")[0] for line in kept.warnings()] == ["nothing is changed"]
+    assert "as guessed: " in kept.robot_file()
+    found = calibrate(HOBBY, SHIPPED, fit="offsets")
+    assert "changed by less than their 95 % intervals" in " ".join(found.warnings())
     assert (np.abs(found.homing_offsets) < 1.5 * found.half_width[HOMING:OF_ROBOT:PER_LEG]).all()
     assert found.noise_ratio < 1.5
     assert dict(found.summary())["measured"] == "roll, pitch, yaw"
@@ -109,6 +122,79 @@ def test_a_level_and_a_jig_tell_offsets_and_gains():
         assert found.fit == "servos"
         assert found.robot.servo_gains == pytest.approx(truth.servo_gains, abs=most)
     assert set(hobby("level").targets.pose[:, 0]) == {0.0}
+
+
+def test_servos_on_a_board_move_a_calibrated_robot_to_the_asked_pose():
+    truth, motors = turned(0.0), PositionServos(preset="mg996r")
+    jig = INSTRUMENTS["jig"]
+    quiet = MeasurementNoise(position=1e-5, rotation=1e-4)
+    poses = placed(truth, hobby("jig", 5).targets, quiet, np.random.default_rng(0))
+    found = calibrate(HOBBY, poses, jig.noise, jig.known_frames).robot
+    before = ServoOptions().wiring(HOBBY, motors, [0.0] * 6)
+    asked = candidate_poses(HOBBY, 20, ReferenceLimits(), np.random.default_rng(1))
+
+    def error(robot):
+        """[m] of the true robot at the pulses of an export, by servos that are mounted as before the calibration."""
+        wiring = ServoOptions().wiring(robot, motors, [0.0] * 6)
+        pulses = wiring.commands(inverse_kinematics(robot, asked) / robot.servo_gains)
+        readings = before.zero + (pulses - before.middle) / before.per_rad
+        reached = forward_kinematics(truth, truth.servo_gains * readings, asked)
+        return np.linalg.norm((reached - asked)[:, 3:], axis=1).max()
+
+    assert error(found) < 2e-4
+    forgotten = found.replace(legs=[{**leg, "servo_middle": None} for leg in found.each_leg()])
+    assert error(forgotten) > 5.0 * error(found)
+    assert error(HOBBY) > 5.0 * error(found)
+    # The board's start follows the robot, and a second calibration does not move the servos.
+    assert np.abs(ServoOptions().wiring(found, motors, [0.0] * 6).home - before.home).max() > 1e-2
+    more = placed(truth, hobby("jig", 5).targets, jig.noise, np.random.default_rng(1))
+    again = calibrate(found, more, jig.noise, jig.known_frames, fit="offsets")
+    assert again.robot.servo_middles == pytest.approx(before.zero)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("instrument", ["imu", "tilt"])
+def test_a_calibration_by_little_does_not_make_poses_worse(instrument):
+    used, sizes = INSTRUMENTS[instrument], []
+    near = Measurements(pose := candidate_poses(HOBBY, 30, ReferenceLimits(), np.random.default_rng(3)), pose)
+    for seed in range(6):
+        truth, rng = turned(0.0, seed), np.random.default_rng(100 + seed)
+        poses = measured(truth, hobby(instrument).targets, used.noise, rng).only(used.measured)
+        found = calibrate(HOBBY, poses).robot
+        angles = inverse_kinematics(HOBBY, pose)
+        right, *both = (forward_kinematics(of, of.servo_gains * angles, near.pose) for of in (truth, HOBBY, found))
+        sizes.append([np.linalg.norm((one - right)[:, :3]) for one in both])
+    before, after = np.mean(sizes, axis=0)
+    assert after < before
+
+
+def test_what_an_instrument_cannot_have_measured_is_one_line():
+    used = INSTRUMENTS["imu"]
+    poses = measured(turned(0.0), hobby("imu").targets, used.noise, np.random.default_rng(0)).only(used.measured)
+    with pytest.raises(ConfigurationError, match=r"--with: expected what measures no positions, .*: imu, or a level"):
+        poses.refuse_other("tracker", HOBBY)
+    level = hobby("level").targets.only(INSTRUMENTS["level"].measured)
+    level.refuse_other("level", HOBBY)
+    tilted = Measurements(level.pose + [0.05, 0, 0, 0, 0, 0], level.angles)
+    with pytest.raises(ConfigurationError, match=r"row 1, pose_roll: expected the planned 0: .* the bubble"):
+        tilted.refuse_other("level", HOBBY)
+    other = Measurements(poses.pose * [1, -1, 1, 1, 1, 1], poses.angles)
+    with pytest.raises(
+        ConfigurationError, match=r"pose_roll or pose_pitch: expected R = .* count this angle the other way"
+    ):
+        calibrate(HOBBY, other)
+
+
+def test_few_poses_and_larger_noise_are_warnings():
+    used, jig = INSTRUMENTS["imu"], INSTRUMENTS["jig"]
+    poses = measured(turned(0.0), hobby("imu").targets, used.noise, np.random.default_rng(0)).only(used.measured)
+    four = Measurements(poses.pose[:4], poses.angles[:4])
+    assert any("are not determined" in line for line in calibrate(HOBBY, four, fit="offsets").warnings())
+    rough = MeasurementNoise(position=1e-3, rotation=1e-2)
+    rows = placed(turned(0.0), hobby("jig", 5).targets, rough, np.random.default_rng(0))
+    found = calibrate(HOBBY, rows, jig.noise, jig.known_frames)
+    assert found.noise_ratio > 3.0
+    assert any("times the noise of the instrument" in line for line in found.warnings())
 
 
 def test_tables_of_imus_and_accelerometers(tmp_path):

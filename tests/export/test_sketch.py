@@ -366,6 +366,46 @@ def test_the_hardware_is_one_short_file(board, tmp_path):
     assert done.returncode == 0, done.stderr[:4000]
 
 
+# What the sketch sends over I2C: a place, then bytes from there on.
+WIRE = """
+Line Serial;
+TwoWire Wire;
+extern "C" { uint8_t sent[64]; unsigned used; }
+void Line::begin(unsigned long) {}
+int Line::read() { return -1; }
+size_t Line::write(const uint8_t *, size_t) { return 0; }
+unsigned long micros() { return 0; }
+void TwoWire::begin() {}
+void TwoWire::setClock(uint32_t) {}
+void TwoWire::beginTransmission(uint8_t) { used = 0; }
+size_t TwoWire::write(uint8_t byte) { sent[used++] = byte; return 1; }
+size_t TwoWire::write(const uint8_t *bytes, size_t size) {
+  for (size_t k = 0; k < size; k++) write(bytes[k]);
+  return size;
+}
+uint8_t TwoWire::endTransmission() { return 0; }
+"""
+
+
+def test_a_pca9685_has_coarse_steps_and_rounds_them_inwards_at_a_stop(tmp_path):
+    export_sketch(HOBBY, "hobby", tmp_path / "mine", "pca9685")
+    (tmp_path / "mine" / "all.cpp").write_text(f'#include "Arduino.h"\n#include "mine.ino"\n{WIRE}')
+    command = [compiler("g++"), "-shared", "-fPIC", f"-I{HERE / 'arduino'}", "-o", "it.so", "all.cpp"]
+    command += ["-x", "c", "hexapod.c", "pose.c", "robot_side.c", "-lm"]
+    subprocess.run(command, cwd=tmp_path / "mine", check=True)
+    board, wiring = ctypes.CDLL(str(tmp_path / "mine" / "it.so")), wiring_of(HOBBY, "pca9685")
+    board.board_begin(0, TICK)
+    step = 122 / 25.0  # [us] of a count
+    for pulses in [*wiring.within, *np.linspace(*wiring.within, 200).astype(int)]:
+        board.board_servos((ctypes.c_uint16 * 6)(*pulses.astype(int)))
+        sent = np.array((ctypes.c_uint8 * 64).in_dll(board, "sent"), dtype=int)[1:25].reshape(6, 4)
+        widths = (sent[:, 2] + 256 * sent[:, 3]) * step
+        assert (widths >= wiring.within[0]).all()
+        assert (widths <= wiring.within[1]).all()
+        at_stop = np.abs(np.array(wiring.within) - pulses).min(axis=0) < step
+        assert (np.abs(widths - pulses) < np.where(at_stop, step, 0.5 * step) + 1e-3).all()
+
+
 PRESETS = {"mg996r": "pca9685", "ds3218": "rp2040", "mg90s": "pca9685", "sts3215": "sts", "xl330_m288": "dynamixel"}
 
 
@@ -405,11 +445,14 @@ def test_what_a_board_cannot_do_is_one_line(changes, board, message, tmp_path):
 
 
 def test_a_controller_that_needs_readings_leaves_poses_to_the_computer(tmp_path, call):
-    status, output, _ = call(
+    status, output, error = call(
         "export", "hobby_servos", "--set", "adaptation=regression", "--sketch", str(tmp_path / "it"), "--board", "sts"
     )
     assert status == 0
     assert "no poses: its controller learns" in output
+    home = np.degrees(inverse_kinematics(load_robot("servo_hexapod"), load_robot("servo_hexapod").home_pose))
+    assert all(f" {angle + 0.0:.1f} " in output for angle in home)
+    assert "warning: the robot has no stops at legs 0, 1, 2, 3, 4, 5" in error
     assert not (tmp_path / "it" / "pose.c").exists()
     assert "SERVOS_POSES 0 /* whether" in (tmp_path / "it" / "servos.h").read_text()
 

@@ -121,7 +121,10 @@ def test_a_hand_is_no_wrong_motor_until_reset():
     assert not live.loop.ended
     assert live.row()["position_m"] < 1e-4
     assert live.loop.scenario.safety.unexplained_torque is None
+    do(live, do="release")
+    assert "unexplained_torque is off until Reset" in live.row()["hand"]
     do(live, do="reset")
+    assert live.row()["hand"] == ""
     assert live.loop.scenario.safety.unexplained_torque is not None
 
 
@@ -206,6 +209,38 @@ def test_a_test_that_cannot_be_done_is_refused(size):
     assert live.message.startswith(("amplitude: expected a number other than 0", "amplitude: expected at most "))
 
 
+def test_a_step_beyond_the_following_error_or_the_sliders_is_refused_with_the_limit():
+    live = session()
+    for axis, size, words in (
+        ("X", 0.025, ("at most 19.8 mm here", "safety.following_error")),
+        ("roll", 0.12, ("at most 5.67 deg here", "safety.following_error")),
+        ("roll", 1.8, ("at most 57.3 deg here", "the range of the sliders")),
+    ):
+        do(live, do="test", kind="step", axis=axis, size=size)
+        assert all(word in live.message for word in words)
+    assert live.loop.test is None
+
+
+def test_a_test_that_the_safety_layer_stops_has_no_figures():
+    live = session()
+    do(live, do="test", kind="sine", axis="X", size=0.01, frequency=1.0)
+    live.loop.advance(100)
+    do(live, do="dead", leg=2)
+    live.loop.advance(5000)
+    assert live.loop.ended
+    assert live.row()["test"] == "sine of X, 10 mm, 1 Hz: not finished"
+
+
+def test_sliders_stop_within_the_workspace_of_the_safety_layer():
+    live = session(**{"safety.workspace": [1.2, 0.01]})
+    home = live.loop.reference.home
+    do(live, do="aim", pose=list(home + [0, 0, 0, 0.012, 0, 0]))
+    assert live.message == "as far as it goes: safety.workspace"
+    assert 0.009 < live.loop.reference.goal[3] - home[3] < 0.01
+    live.loop.advance(2000)
+    assert not live.loop.ended
+
+
 def test_the_cause_of_an_end_has_its_leg_limit_and_time():
     live = session()
     live.loop.advance(500)
@@ -277,3 +312,14 @@ def test_a_loop_beside_begins_where_the_first_one_is():
     other.advance(300)
     assert np.linalg.norm(other.pose - loop.pose) > 1e-3
     assert not other.ended
+
+
+def test_errors_and_tests_on_a_rolling_deck_are_those_of_the_levelled_reference():
+    live = LiveSession(load_scenario("rolling_deck").replace({"base.motion.fade_in": 0.2}))
+    live.loop.advance(800)
+    assert np.abs(live.loop.pose[:3]).max() > 0.05  # [rad]
+    assert live.row()["rotation_deg"] < 0.3
+    do(live, do="test", kind="step", axis="roll", size=0.02)
+    live.loop.advance(2100)
+    overshoot = float(live.row()["test"].partition("overshoot ")[2].partition(" %")[0])
+    assert overshoot < 40.0

@@ -93,7 +93,7 @@ def test_a_slider_of_a_former_controller_and_a_save_before_a_run_are_refused(tmp
         session.put(command)
         session.obey()
         messages.append(session.message)
-    assert messages[0] == "save: expected a loop that has run, got 'no row'"
+    assert messages[0] == "save: expected a loop that has run, got 'a loop at its start'"
     assert messages[1] == ""
     assert messages[2].startswith("slider: expected one of controller.kp, ")
     assert list(tmp_path.glob("runs/*")) == []

@@ -8,12 +8,14 @@ import pytest
 from lagging_servos import Servos
 
 from stewart_drake import forward_kinematics, load_scenario
-from stewart_drake.base.errors import RunFailure
+from stewart_drake.base.errors import ConfigurationError, RunFailure
+from stewart_drake.cli.view_commands import _steer
 from stewart_drake.live.machine_session import MachineSession
 from stewart_drake.live.start import start_machine
 from stewart_drake.live.steering import HandReference
 from stewart_drake.machines.machine import MachineError
 from stewart_drake.runs.drive import connected
+from stewart_drake.scenario.scenario import load_driven
 
 SCENARIO = load_scenario(
     "reachy_nod",
@@ -162,3 +164,9 @@ def test_bad_commands_to_a_machine_change_nothing(machine_session, command):
 def machine_session():
     machine = Timed({})
     return MachineSession(SCENARIO, machine, connected(SCENARIO, machine))
+
+
+def test_a_stream_is_refused_as_the_page_steers():
+    stream = {"kind": "stream", "udp": "127.0.0.1:0"}
+    with pytest.raises(ConfigurationError, match=r"reference.udp: expected null: here the page steers"):
+        _steer(load_driven("reachy_servos", [f"reference={json.dumps(stream)}"]), "sim:", None, False, False)

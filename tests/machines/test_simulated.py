@@ -1,6 +1,7 @@
 """`sim:`, the simulation as a machine: a process of its own, in real time; and either side killed."""
 
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -12,7 +13,7 @@ from made_machines import ROOT, SERVOS, TORQUES, go_on
 from stewart_drake import Controller, inverse_kinematics
 from stewart_drake.machines.machine import MachineError, open_machine
 from stewart_drake.machines.packet import Packet, decode, encode
-from stewart_drake.machines.simulated import RobotSide, SimulatedRobot
+from stewart_drake.machines.simulated import RobotSide, SimulatedRobot, main
 from stewart_drake.plant.plant_options import ANGLES
 
 
@@ -51,6 +52,23 @@ def test_servos_that_get_no_command_keep_the_last_angle():
     for _ in range(200):
         robot.advance(False)
     np.testing.assert_allclose(robot.reading(), settled, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "port", "message"),
+    [
+        ("hobby_servos", None, r"^stewart-drake: simulated robot: port \d+: OSError: .*in use$"),
+        ("hobby_servos", "99999", r"^stewart-drake: simulated robot: port 99999: OverflowError: .*0-65535"),
+        ("nope.yaml", "0", r"^stewart-drake: simulated robot: .*nope\.yaml"),
+    ],
+)
+def test_a_simulation_that_cannot_start_ends_in_one_line(scenario, port, message, monkeypatch):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as used:
+        used.bind(("127.0.0.1", 0))
+        monkeypatch.setattr(sys, "argv", ["simulated", scenario, "--port", port or str(used.getsockname()[1])])
+        with pytest.raises(SystemExit, match=message) as ended:
+            main()
+    assert "\n" not in str(ended.value)
 
 
 def drive(machine, controller, ticks, out, begun=None):

@@ -117,6 +117,8 @@ def test_one_with_a_clock_and_attributes_of_its_own(mine):
 def test_its_code_has_to_be_trusted(mine):
     with pytest.raises(ConfigurationError, match=r"machine: expected code that you trust, .*--trust-code"):
         mine("MyMachine", trust=False)
+    with pytest.raises(ConfigurationError, match=r"expected reachy://.*'; for class nope of module usb add --trust"):
+        open_machine("usb:nope", SERVOS)
 
 
 @pytest.mark.parametrize("answer", ["5", "[1, 2]", "'up'", "[float('nan')] * 6", "([0] * 6, 'now')", "self"])

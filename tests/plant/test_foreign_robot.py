@@ -257,6 +257,9 @@ def test_a_mjcf_whose_rods_end_in_welded_sockets(tmp_path):
     check_same(RobotParameters(**read_model(tmp_path / "welded.xml", (), {}).read.parameters), robot)
 
 
+IN_MM = re.sub(
+    r'<origin xyz="([^"]*)"', lambda m: f'<origin xyz="{" ".join(str(1e3 * float(x)) for x in m[1].split())}"', GOOD
+)
 NAMED_TWICE = GOOD.replace('child link="end_bob"', 'child link="nobody"')
 TURNING_END = GOOD.replace('name="end_glue_bob" type="fixed"', 'name="end_glue_bob" type="revolute"')
 NO_TABLE = PAPER.replace("constraint_body_B>platform", "constraint_body_B>table", 1)
@@ -276,6 +279,7 @@ READS = "a file that Drake's parser reads, .*; "
         ("a.urdf", '<robot name="a"><joint name="b" type="x"/></robot>', (), READS),
         ("a.urdf", NAMED_TWICE, (), f"{READS}.*nobody"),
         ("a.urdf", TURNING_END, (), r"turn a crank with a rod to one platform, not 5"),
+        ("a.urdf", IN_MM, (), r"^model .*a.urdf: (shaft|joint) of leg \d.* is the file in mm\? it has to be in m$"),
         ("a.urdf", GOOD, ("servo_axis_ada",), r"--motor: expected six joints, or none"),
         ("a.urdf", GOOD, tuple("abcdef"), r"six joints of .*"),
         ("a.sdf", "<sdf/>", (), READS),

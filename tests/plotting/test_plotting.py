@@ -7,7 +7,7 @@ import pytest
 from made_logs import made_log
 
 from stewart_drake import Scenario, plot_states, plot_torques, run_metrics
-from stewart_drake.plotting import plot_learnt, save_figure
+from stewart_drake.plotting import plot_learnt, save_figure, study_plots
 from stewart_drake.plotting.study_plots import plot_map, plot_rmse, plot_sweep
 
 AXES = ("φ", "θ", "ψ", "X", "Y", "Z")
@@ -170,3 +170,9 @@ def test_a_sweep_shows_runs_that_were_lost_at_the_edge_and_two_grids_as_a_map():
     assert cells.get_array().filled(np.nan).tolist()[0] == [1.0, 3.0]
     assert cells.get_array().filled(np.nan)[1, 0] == 2.0
     assert cells.get_array().mask[1, 1]
+
+
+def test_sixteen_controllers_have_sixteen_looks():
+    styles = study_plots._styles([{"controller": str(number)} for number in range(16)])
+    looks = {tuple(style.get(key) for key in ("color", "marker", "markerfacecolor")) for style in styles.values()}
+    assert len(looks) == 16

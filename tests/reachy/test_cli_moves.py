@@ -7,16 +7,37 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lagging_servos import Servos
 
 from stewart_drake import run, run_metrics
+from stewart_drake.machines.simulated import SimulatedRobot
 from stewart_drake.reachy.commands import scenario_to_play
 from stewart_drake.reachy.moves import HEAD_HEIGHT, Move, dances, move_json, read_move
+from stewart_drake.runs.drive import Drive, connected
 from stewart_drake.scenario.scenario import load_driven
 
 makers = pytest.mark.skipif(
     importlib.util.find_spec("reachy_mini_dances_library") is None,
     reason="pip install --no-deps reachy_mini_dances_library",
 )
+
+
+class SimulatedServos(Servos):
+    """The plant of a scenario in this process, without a clock."""
+
+    def __init__(self, scenario):
+        self.robot = SimulatedRobot(scenario)
+        super().__init__(self.robot.reading())
+        self.period = self.robot.period
+
+    def read(self):
+        for _ in range(self.robot.steps):
+            self.robot.advance(False)
+        self.angles = self.robot.reading()
+        return super().read()._replace(time=self.period * (self.count + 1))
+
+    def command(self, values):
+        self.robot.follow(values)
 
 
 @pytest.fixture
@@ -57,6 +78,7 @@ def test_moves_are_checked_fixed_and_shaped(call, folder):
     ("arguments", "said"),
     [
         ("check nowhere.json", "No such file"),
+        ("check simple_nod", "or for a dance dance:simple_nod, got"),
         ("check given/nod.json --shaped x", "No such option"),
         ("export given/nod.json --shaped reachy_nod", "motors that take angles"),
         ("fix given/nod.json --out given/nod.json", "is a file"),
@@ -68,6 +90,15 @@ def test_what_is_wrong_is_a_line(call, arguments, said):
     assert status == 2
     assert said in err
     assert len(err.splitlines()) == 1
+
+
+def test_a_gap_in_a_recording_is_named(call, folder):
+    move = read_move(folder / "nod.json")
+    late = move._replace(time=move.time + np.where(move.time > 0.5, 0.7, 0.0))
+    (folder / "late.json").write_bytes(move_json(late))
+    for name in ("nod", "late"):
+        out = call("moves", "check", folder / f"{name}.json")[1]
+        assert ("late: no rows for 0.71 s after 0.5 s, where the motion is a guess" in out) == (name == "late")
 
 
 @pytest.mark.parametrize("what", ["fix", "export"])
@@ -138,6 +169,18 @@ def test_all_dances_are_played_to_the_end(tmp_path, monkeypatch, capsys):
     assert {log.status for log in logs.values()} == {"completed"}
     told = capsys.readouterr().out
     assert (len(logs), told.count(": fixed, "), told.count("as long, for its motors")) == (20, 7, 6)
+
+
+@pytest.mark.long
+@makers
+@pytest.mark.parametrize("name", ["headbanger_combo", "jackson_square", "grid_snap"])
+def test_a_fixed_dance_is_driven_as_it_is_simulated(tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    scenario = load_driven("reachy_servos").replace({"plant": {"kind": "closed_form"}})
+    played = scenario_to_play(scenario, name, force=False)
+    log = Drive(played, machine := SimulatedServos(played), connected(played, machine)).run()
+    assert log.status == "completed"
+    assert run_metrics(log)["error_max_deg"] < 5.0
 
 
 @pytest.mark.parametrize(

@@ -105,6 +105,21 @@ def test_the_torque_of_the_plant_has_what_the_controller_does_not_know():
     assert worst.where == f"leg {worst.leg} with motor friction"
 
 
+def test_a_base_that_heaves_counts_in_the_torque_of_the_motion_and_of_the_plant():
+    """At the bottom of the heave a robot at rest on it has more weight, by the ratio of the accelerations."""
+    heave = {"kind": "sine", "center": [0.0] * 6, "amplitude": [0, 0, 0, 0, 0, 0.1], "angular_frequency": [10.0] * 6}
+    scenario = Scenario(reference={"kind": "hold"}, duration=1.0, base={"motion": heave})
+    most = np.abs(static_torque(ROBOT, ROBOT.home_pose, GRAVITY + 0.1 * 10.0**2)).max()
+    worst = checks.motion_report(scenario).smallest["torque"]
+    assert worst.value == pytest.approx(most, rel=1e-3)
+    loaded = plant_report(scenario.replace({"plant.payload_mass": 0.5})).smallest["plant_torque"]
+    assert loaded.value > worst.value
+    assert loaded.time == worst.time
+    weak = scenario.replace({"robot.effort_limit": 0.99 * most})
+    with pytest.raises(InfeasibleReferenceError):
+        checks.check_scenario(weak)
+
+
 def test_motors_as_sold_give_less_at_speed_than_the_robots_limit():
     """By hand: the line from the torque at rest to the speed without load."""
     servo = {"kind": "position", "torque_limit": 2.0, "no_load_speed": 8.0, "damping": 0.0}

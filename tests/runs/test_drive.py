@@ -283,6 +283,25 @@ def test_on_a_line_that_loses_packets_commands_are_near_to_the_last_that_has_arr
     assert farthest[0.5] < 3.0 * farthest[0.0] + APPROACH_SPEED * 0.06
 
 
+def test_commands_that_lead_the_path_so_that_servos_give_their_torque_are_sent_as_they_are():
+    soft = {"kind": "position", "preset": "xl330_m288", "stiffness": 0.2, "damping": 0.0}
+    scenario = BASE.replace({"controller.feedforward": "full", "model.motors": soft, "bounds.crank_angle": 0.1})
+    scenario = scenario.replace({"reference.motion.angular_frequency": 15.0})
+
+    class Follower(Servos):
+        def read(self):
+            self.angles = inverse_kinematics(scenario.robot, start.motion.evaluate(0.02 * max(self.count - 2, 0))[0])
+            return super().read()
+
+    start = connected(scenario, machine := Servos())
+    machine.__class__ = Follower
+    log = Drive(scenario, machine, start).run()
+    wanted, path = log["commanded_angle"], [inverse_kinematics(scenario.robot, pose) for pose in log["reference"]]
+    assert np.abs(wanted - path).max() > 0.3
+    settled = log["time"] > 1.0
+    np.testing.assert_allclose(np.array(machine.commands)[settled], wanted[settled], atol=1e-12)
+
+
 def test_a_second_interrupt_does_not_wait():
     def again(machine):
         machine.at += 5

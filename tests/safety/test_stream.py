@@ -1,5 +1,6 @@
 """References of kind stream: targets from outside, kept within the limits."""
 
+import re
 import socket
 
 import numpy as np
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lagging_servos import Servos
 from random_robots import random_robot
+from scipy.spatial.transform import Rotation
 
 from stewart_drake import ConfigurationError, Controller, Reach, Scenario, load_robot, load_scenario
 from stewart_drake.runs.drive import Drive, connected
@@ -78,6 +80,19 @@ def test_it_rests_at_the_target_or_near_the_nearest_pose(scenario):
         assert np.linalg.norm((pose - end.pose) * np.repeat([length, 1.0], 3)) < 0.1 * length
 
 
+@pytest.mark.parametrize("offset", [[0.0, 0.0, 0.0, 0.0, 0.045, 0.0], [0.6, -0.5, 0.6, 0.01, 0.0, 0.03]])
+def test_it_stays_in_the_workspace_of_the_safety_layer(offset):
+    safe = {"workspace": [0.2, 0.012]}
+    scenario = Scenario(robot="reachy_mini", reference={"kind": "stream"}, safety=safe)
+    home = scenario.robot.home_pose
+    pose = playing(scenario, [home + offset], 1.0).evaluate(np.arange(0.0, 4.0, 0.02))[0]
+    turns = [Rotation.from_euler("xyz", row[:3]).magnitude() for row in pose]
+    shifts = np.linalg.norm(pose[:, 3:] - home[3:], axis=1)
+    assert max(turns) < 0.18 * 1.01
+    assert max(shifts) < 0.0108 * 1.01
+    assert max(turns[-1] / 0.2, shifts[-1] / 0.012) > 0.8
+
+
 def test_silence_and_what_is_no_pose_hold_the_last_target():
     target = MINI.robot.home_pose + [0.1, 0.0, 0.2, 0.0, 0.0, 0.002]
     nothing = np.full(6, np.nan)
@@ -117,10 +132,12 @@ def test_a_simulation_plays_the_file_and_a_controller_takes_targets_from_python(
 )
 def test_lines_are_read_by_their_columns(options):
     reference = Scenario(reference={"kind": "stream", "relative": True, **options}).reference
-    words = "1 2 3 10 20 30 7" if options else "10,20;30, 1 2 3"
+    words = "1 2 3 10 20 30 7" if options else " 10; 20,0;30;1;2;3;\r\n"
     target = reference.home + [*np.radians([10.0, 20.0, 30.0]), 0.001, 0.002, 0.003]
     np.testing.assert_allclose(reference.target_of(words.encode()), target)
-    for wrong in (b"", b"1,2,3", b"a,b,c,d,e,f", b"\xff\x00", b"1,2,3,4,5,"):
+    wrong_lines = [b"", b"1,2,3", b"a,b,c,d,e,f", b"\xff\x00", b"1,2,3,4,5,", b"1,,2,3,4,5,6", b"10,20;30,1 2 3"]
+    wrong_lines += [b"nan,0,0,0,0,0", b"1 2 3 4 5 6 7 8", b"1,2,3,4,5,6" if options else b"0,10,5,20,0,0,5"]
+    for wrong in wrong_lines:
         assert np.isnan(reference.target_of(wrong)).all()
 
 
@@ -161,11 +178,16 @@ def test_a_drive_follows_targets_over_udp_at_50_hz():
 
     machine = Sender()
     start = connected(SERVOS, machine)
-    source = start.motion._motion._source
-    port = source.port
+    source = start.motion.source
+    port = int(source.address.split(":")[1])
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         log = Drive(SERVOS, machine, start).run()
     assert log.status == "completed"
+    (warning,) = log.warnings
+    assert re.fullmatch(
+        r"\d+ of \d+ datagrams are not 6 finite numbers and were dropped, the last '(garbage|nan,0,0,0,0,0)'",
+        warning["text"],
+    )
     assert np.ptp(log["reference"][:, 2]) > 0.1
     assert np.ptp(log["reference"][:, 1]) > 0.1
     pose, still = log["reference"], np.zeros_like(log["reference"])
@@ -173,6 +195,13 @@ def test_a_drive_follows_targets_over_udp_at_50_hz():
     assert all((values >= 0.0).all() for values in margins.values())
     with pytest.raises(OSError, match="Bad file descriptor"):
         source._line.getsockname()
+
+
+def test_a_stream_that_nobody_sends_is_a_warning():
+    log = Drive(SERVOS, machine := Servos(), connected(SERVOS, machine, 0.2)).run()
+    assert log.status == "completed"
+    assert [warning["name"] for warning in log.warnings] == ["targets"]
+    assert log.warnings[0]["text"].startswith("no target came at 127.0.0.1:")
 
 
 def test_a_drive_follows_targets_from_python():

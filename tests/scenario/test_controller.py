@@ -17,6 +17,7 @@ from stewart_drake.control import network
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
 from stewart_drake.scenario.assembly import loop_of
 from stewart_drake.scenario.control_options import ControlOptions
+from stewart_drake.scenario.scenario import load_driven
 
 ENCODERS = {"sensors": {"kind": "encoders"}, "estimator": {"kind": "difference", "rate_cutoff": 150.0}}
 OBSERVED = {
@@ -294,3 +295,32 @@ def test_whatever_it_reads_and_whenever_no_kind_gives_more_than_the_limit(contro
 def the_controller(controller, safety):
     keys = {"controller": json.loads(controller), "safety": json.loads(safety), "robot.effort_limit": 0.6}
     return Controller(short("exact_fig7", {**keys, "duration": 1.0}))
+
+
+@pytest.mark.parametrize(
+    ("reference", "names", "words"),
+    [
+        ("stream", ["targets"], "sources: expected reference or reference_ahead, got 'targets'"),
+        ("hold", ["target"], "target is for a reference of kind stream"),
+        ("stream", ["target", "reference"], "sources: expected target, got 'reference'"),
+    ],
+)
+def test_sources_of_other_names_are_refused(reference, names, words):
+    scenario = Scenario(reference={"kind": reference}, command_delay=1, estimator="observer")
+    with pytest.raises(ConfigurationError, match="sources: expected ") as caught:
+        Controller(scenario, dict.fromkeys(names, lambda _: np.zeros(6)))
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("given", [np.eye(4), np.zeros(5), 0.0])
+def test_a_source_that_returns_another_shape_is_named(given):
+    controller = Controller(Scenario(reference={"kind": "stream"}), {"target": lambda _: given})
+    with pytest.raises(RunFailure, match=r"sources: target: expected a function that returns an array of shape \(6,\)"):
+        controller.step(np.concatenate([HOME, np.zeros(6)]), 0.0, np.empty(6))
+
+
+def test_a_controllers_file_alone_is_simulated_with_the_friction_that_it_compensates():
+    friction = load_driven("reachy_mini").plant.friction_options
+    assert (friction.coulomb, friction.viscous) == ((0.058,) * 6, (0.095,) * 6)
+    # The torque of servos is between command and angle, so friction is of less account.
+    assert load_driven("reachy_servos").plant.friction is None

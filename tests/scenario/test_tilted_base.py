@@ -42,7 +42,11 @@ def test_gravity_is_turned_by_the_base_and_a_model_may_believe_another():
         ({"gravity": "down"}, r"gravity: expected a number.*got 'down'"),
         ({"gravity": [0, 0, math.nan]}, r"gravity: expected a number.*nan"),
         ({"model": {"gravity": [1, 2, 3, 4]}}, r"model\.gravity: expected a number"),
-        ({"base": {"orientation": [0, 30, 0]}}, r"base\.orientation: expected roll, pitch, yaw \[rad\].*in degrees\?"),
+        (
+            {"base": {"orientation": [0, 30, 0]}},
+            r"base\.orientation: expected roll, pitch, yaw \[rad\].*not in degrees",
+        ),
+        ({"base": {"orientation": [5, 0, 0]}}, r"base\.orientation: expected roll, pitch, yaw \[rad\].* half a turn"),
         ({"base": {"orientation": [0, 0]}}, r"base\.orientation: expected roll, pitch, yaw"),
         ({"base": {"sensor": {}}}, r"base\.sensor: expected null, for a base at rest"),
         ({"base": {"motion": SINE, "sensor": {"noise": 1}}}, r"base\.sensor"),

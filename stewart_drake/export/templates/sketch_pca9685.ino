@@ -1,11 +1,11 @@
 // A PCA9685 on I2C, for any Arduino board: ESP32, Uno, Nano, Teensy, Pico. Legs 0 to 5 are channels 0 to 5.
-// The chip's clock is off by some per cent, and all pulses with it: measure one, and correct CLOCK.
 #include <Wire.h>
 #include "hexapod.h"
+#include "servos.h"
 
 static const uint8_t ADDRESS = 0x40;
-static const float CLOCK = 25.0f;  // [MHz]
-static float counts_per_us;
+static const float CLOCK = 25.0f;  // [MHz] It is off by some per cent, and all pulses with it: measure one, and correct this.
+static float counts_per_us;  // 0.205 at 50 Hz; at a stop counts are rounded inwards
 static void put(uint8_t place, const uint8_t *bytes, size_t size) {
   Wire.beginTransmission(ADDRESS);
   Wire.write(place);
@@ -29,9 +29,9 @@ void board_write(const uint8_t *bytes, unsigned size) { Serial.write(bytes, size
 void board_servos(const uint16_t commands[6]) {
   uint8_t bytes[24] = {0};
   for (int k = 0; k < 6; k++) {
-    const uint16_t off = (uint16_t)(commands[k] * counts_per_us + 0.5f);
-    bytes[4 * k + 2] = (uint8_t)off;
-    bytes[4 * k + 3] = (uint8_t)(off >> 8);
+    const float least = ceilf(servos_least[k] * counts_per_us), most = floorf(servos_most[k] * counts_per_us);
+    const uint16_t off = (uint16_t)fmaxf(least, fminf(most, floorf(commands[k] * counts_per_us + 0.5f)));
+    bytes[4 * k + 2] = (uint8_t)off, bytes[4 * k + 3] = (uint8_t)(off >> 8);
   }
   put(0x06, bytes, 24);
 }

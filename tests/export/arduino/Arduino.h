@@ -1,4 +1,5 @@
 /* What the sketches call of Arduino, for a compiler alone. */
+#include <math.h>
 #include <stddef.h>
 #include <stdint.h>
 
