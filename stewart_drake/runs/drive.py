@@ -41,10 +41,8 @@ MIN_DURATION = 0.1  # [s] of a motion.
 HOLD_TIME = 0.3  # [s] at rest at the end, until the machine is disconnected.
 COMMAND_DELAY = 0.03
 """[s] Longest delay of a command; three ticks if that is longer. A commanded angle differs from the last one that has
-arrived by at most the path and the change of the lead in this time, plus `APPROACH_SPEED` times it. The lead is how far
-a command is beyond the path so that a servo gives its torque."""
-MAX_FAR_READINGS = 2
-"""Readings in a row that are far from the path, until the robot is stopped. A single one may be wrong."""
+arrived by at most the path and the change of its lead beyond the path in this time, plus `APPROACH_SPEED` times it."""
+MAX_FAR_READINGS = 2  # Readings in a row far from the path, until the robot is stopped. A single one may be wrong.
 HOLD_REASONS = "not_following", "not_moving", "holding"
 """Reasons to hold the robot at the angles that it reads: it is not on its path, so it cannot slow down along it."""
 
@@ -83,8 +81,7 @@ def connected(
         raise ConfigurationError("--for", seconds, allowed)
     check_takes(scenario, machine.takes, "the machine")
     machine.connect()
-    adaptation = scenario.adaptation
-    if adaptation is not None and not machine.reads and not getattr(adaptation, "frozen", False):
+    if (adaptation := scenario.adaptation) and not machine.reads and not getattr(adaptation, "frozen", False):
         raise ConfigurationError("adaptation", adaptation.kind, "null: this machine does not tell its angles")
     low, high = PERIOD_RATIO_SERVOS if model.motors.holds else PERIOD_RATIO
     if machine.paced and machine.period is not None and not low * period < machine.period < high * period:
@@ -92,9 +89,9 @@ def connected(
         raise ConfigurationError("controller.period", period, allowed)
     motion = PacedMotion(reference, reference.evaluate(0.0)[0], RAMP)
     first = machine.read()
-    if first.imu is not None and scenario.controller_model.imu is None:
-        line = "the machine has an inertial sensor; without the key model.imu, its place and axes, it is not used"
-        logging.getLogger("stewart_drake").warning(f"stewart-drake: {line}")
+    if first.imu is not None and model.imu is None:
+        line = "the machine has an inertial sensor; without model.imu, its place and axes, it is not used"
+        logging.getLogger("stewart_drake").warning("stewart-drake: %s", line)
     start = plan_start(scenario, machine, motion, first.angles, seconds)
     report = check_reference(model.robot, scenario.limits, motion, start.duration, scenario.gravity_in_base)
     report.raise_if_infeasible()

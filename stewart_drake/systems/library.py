@@ -307,9 +307,8 @@ class PlatformObserver(ScenarioSystem):
 class SafetyLayer(ScenarioSystem):
     """`safety`, which limits or replaces the command; ports without a signal need not be connected.
 
-    safety: command, measurement, reference, age, sensor_health, controller_health, angles, pose_reading,
-        parity -> torque,
-    safety.
+    safety: command, measurement, reference, age, sensor_health, controller_health, angles, pose_reading, parity ->
+    torque, safety.
     """
 
     def __init__(self, scenario: Scenario) -> None:
