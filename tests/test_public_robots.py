@@ -79,8 +79,10 @@ def test_a_public_robot_is_described_by_one_command(name, tmp_path, capsys):
         crank = np.cos(angle)[:, None] * zero + np.sin(angle)[:, None] * quarter
         rod = made.joints_in_platform + home - made.shaft_positions - made.crank_lengths[:, None] * crank
         np.testing.assert_allclose(np.sum(crank * rod, axis=-1), 0.0, atol=1e-6)
-    # One author mirrored a crank; of another robot the legs of even number are level 2 mm below the odd ones.
-    warnings = {"public-14": "is this meant?", "public-19": "crank of leg 0 is 120.1 deg"}
+    # One author mirrored a crank; of another robot the legs of even number are level 2 mm below the odd ones. Some
+    # platforms are nearly loose at home, and links of one touch there.
+    warnings = {"public-14": "is this meant?", "public-19": "crank of leg 0 is 120.1 deg", "public-03": "radius right?"}
+    warnings |= dict.fromkeys(("public-01", "public-02", "public-05", "public-18"), "conditioning")
     assert warnings.get(name, "") in (warned := capsys.readouterr().err)
     assert (warned == "") == (name not in warnings)
 
