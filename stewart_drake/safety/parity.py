@@ -20,7 +20,7 @@ from stewart_drake.base.records import Mat3, Mat6x3, Record, Vec2, Vec3, Vec6, V
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot, cross, dot, turned
-from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, largest_size, set_to, solve
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, set_to, solve
 from stewart_drake.robot.gravity import gravity_vector
 
 if TYPE_CHECKING:
@@ -60,7 +60,6 @@ class ParityState(Record):
     force_bias: Vec3  # [m/s^2] of the accelerometers, in P.
     difference: Vec3  # [rad] rotation in B from the inertial sensor's orientation to the encoders'.
     count: float  # Samples beyond the bound, less those within it.
-    correction: Vec6  # [rad] added to a reading that is known to be wrong.
 
 
 @njit
@@ -69,9 +68,11 @@ def turn_by(vector: Vec3, matrix: Mat3) -> None:
     angle = np.sqrt(dot(vector, vector))
     s = np.sin(angle) / angle if angle > 1e-8 else 1.0
     c = (1.0 - np.cos(angle)) / angle**2 if angle > 1e-8 else 0.5
-    first, second = np.empty(3), np.empty(3)
+    axis, first, second = np.empty(3), np.empty(3), np.empty(3)
     for column in range(3):
-        cross(vector, matrix[:, column], first)
+        for k in range(3):
+            axis[k] = matrix[k, column]
+        cross(vector, axis, first)
         cross(vector, first, second)
         for k in range(3):
             matrix[k, column] += s * first[k] + c * second[k]
@@ -80,19 +81,28 @@ def turn_by(vector: Vec3, matrix: Mat3) -> None:
 @njit
 def rotation_between(matrix: Mat3, other: Mat3, out: Vec3) -> None:
     """Rotation vector [rad] of `matrix` times the transpose of `other`, of angles below pi."""
-    trace = 0.0
+    trace, first, second, product = 0.0, np.empty(3), np.empty(3), np.empty(3)
     set_to(out, 0.0)
     for m in range(3):
-        trace += dot(matrix[:, m], other[:, m])
-        # The vector of the skew part of sum_m a_m b_m^T is half the sum of b_m x a_m.
         for k in range(3):
-            a, b = (k + 1) % 3, (k + 2) % 3
-            out[k] += 0.5 * (other[a, m] * matrix[b, m] - other[b, m] * matrix[a, m])
+            first[k], second[k] = matrix[k, m], other[k, m]
+        trace += dot(first, second)
+        # The vector of the skew part of sum_m a_m b_m^T is half the sum of b_m x a_m.
+        cross(second, first, product)
+        for k in range(3):
+            out[k] += 0.5 * product[k]
     sine = np.sqrt(dot(out, out))
     angle = np.arctan2(sine, 0.5 * (trace - 1.0))
     scale = angle / sine if sine > 1e-9 else 1.0
     for k in range(3):
         out[k] *= scale
+
+
+@njit
+def turned_back(matrix: Mat3, vector: Vec3, out: Vec3) -> None:
+    """Transpose of a matrix times a vector."""
+    for i in range(3):
+        out[i] = matrix[0, i] * vector[0] + matrix[1, i] * vector[1] + matrix[2, i] * vector[2]
 
 
 @njit
@@ -164,17 +174,17 @@ def parity_sample(
     """
     if not (all_finite(angles) and all_finite(imu)):
         return AGREES
-    pose, read, before = state.pose[:], np.empty(6), np.empty((3, 3))
-    for i in range(6):
-        read[i] = angles[i] + state.correction[i]
+    pose, before = state.pose[:], np.empty((3, 3))
     is_first = state.samples == 0.0
-    copy_to(pose, reference[:6] if is_first else pose.copy())
+    if is_first:
+        copy_to(pose, reference[:6])
     laws.rotation(pose[:3], before)
-    error, _ = laws.forward_kinematics(robot, read, pose, TOLERANCE, ITERATIONS)
+    error, _ = laws.forward_kinematics(robot, angles, pose, TOLERANCE, ITERATIONS)
     if not error <= 1e-3 * robot.length or laws.legs_at(robot, pose, legs) >= 0:
         return AGREES
     if is_first:
-        before[:] = legs.rotation
+        for k in range(3):
+            copy_to(before[k], legs.rotation[k])
     rates, force, expected = np.empty(3), np.empty(3), np.empty(3)
     turned(params.mounting, imu[:3], rates)
     turned(params.mounting, imu[3:], force)
@@ -197,12 +207,13 @@ def _align(
     params: ParityParams, legs: Legs, before: Mat3, rates: Vec3, force: Vec3, expected: Vec3, state: ParityState
 ) -> None:
     """Finds both biases as means; the orientation is that of the encoders."""
-    turn, inverse, share = np.empty(3), legs.rotation.T.copy(), 1.0 / state.samples
+    turn, share = np.empty(3), 1.0 / state.samples
     rotation_between(legs.rotation, before, turn)
-    state.rotation[:] = legs.rotation
+    for k in range(3):
+        copy_to(state.rotation[k], legs.rotation[k])
     true_rate, true_force = np.empty(3), np.empty(3)
-    turned(inverse, turn, true_rate)
-    turned(inverse, expected, true_force)
+    turned_back(legs.rotation, turn, true_rate)
+    turned_back(legs.rotation, expected, true_force)
     for k in range(3):
         state.rate_bias[k] += share * (rates[k] - true_rate[k] / params.period - state.rate_bias[k])
         state.force_bias[k] += share * (force[k] - true_force[k] - state.force_bias[k])
@@ -230,7 +241,7 @@ def _turn(
         for k in range(3):
             tilt[k] *= h / (TILT_TIME * weight**2)
         turn_by(tilt, rotation)
-        turned(rotation.T.copy(), tilt, in_platform)
+        turned_back(rotation, tilt, in_platform)
         for k in range(3):
             state.rate_bias[k] -= in_platform[k] / BIAS_TIME
     difference = state.difference[:]
@@ -240,25 +251,13 @@ def _turn(
     for k in range(3):
         step[k] = around * params.gravity[k]
     turn_by(step, rotation)
-    turned(rotation.T.copy(), step, in_platform)
+    turned_back(rotation, step, in_platform)
     for k in range(3):
         state.rate_bias[k] -= in_platform[k] / BIAS_TIME
     # The encoders' turn since a sample of this age.
     rotation_between(legs.rotation, before, step)
     for k in range(3):
         difference[k] -= step[k] * params.later / h
-
-
-@njit
-def correct_reading(leg: int, legs: Legs, state: ParityState, share: float) -> bool:
-    """Moves the correction of a wrong reading by a share of what the difference asks for; False at a singularity."""
-    lines = np.empty((6, 3))
-    if not encoder_lines(legs, lines):
-        return False
-    squared = dot(lines[leg], lines[leg])
-    if squared > 0.0 and largest_size(state.difference) < np.pi:
-        state.correction[leg] -= share * dot(lines[leg], state.difference) / squared
-    return True
 
 
 @njit

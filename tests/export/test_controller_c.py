@@ -101,7 +101,7 @@ def test_commands_of_ten_seconds(name, tmp_path):
 
 @pytest.mark.parametrize("imu", [{"rotation": [0.1, 0.2, 0.3]}, {"delay": 0.004, "period": 0.002}], ids=["new", "late"])
 def test_it_takes_inertial_readings_as_further_numbers_of_a_reading(imu, tmp_path):
-    sensors = {"sensors": {"kind": "encoders", "imu": imu}, "estimator": "observer"}
+    sensors = {"sensors": {"kind": "encoders", "imu": imu}, "estimator": "observer", "safety": {}}
     scenario = load_scenario("exact_fig7").replace({"plant": "closed_form", **sensors})
     export_controller(scenario, "inertial", tmp_path)
     loop, controller, in_c = SteppedLoop(scenario), Controller(scenario), InC(tmp_path, "inertial")
