@@ -6,13 +6,26 @@ end. `rk4` is the classical Runge-Kutta method of order 4 on the same equations.
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
 from stewart_drake.base.errors import SingularPoseError
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat3, Mat6, Matrix, Record, TickResult, Vec3, Vec6, Vec9, Vec12, record
+from stewart_drake.base.records import (
+    Mat3,
+    Mat6,
+    Matrix,
+    Record,
+    TickResult,
+    Vec2,
+    Vec3,
+    Vec5,
+    Vec6,
+    Vec9,
+    Vec12,
+    record,
+)
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import loads, task_inertia
@@ -20,21 +33,26 @@ from stewart_drake.mechanics.friction import SWEEPS, Bristles, Friction, implici
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry, pose_rate_to_twist
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import any_nonzero, copy_to, solve
+from stewart_drake.mechanics.rolling_ball import Ball, ball_rate, ball_terms
 from stewart_drake.plant.model_files import HomeFrames, home_frames
-from stewart_drake.plant.plant_options import MechanismOptions, foreign_state
+from stewart_drake.plant.plant_options import BALL, MechanismOptions, foreign_state
 from stewart_drake.robot import Gravity, RobotParameters, base_reading
+
+if TYPE_CHECKING:
+    from stewart_drake.hardware.ball import BallOptions
 
 SUBSTEPS = 8
 """Number of substeps of `rk4` in a step in which a motor with dry friction reverses or sticks."""
 
 
 class ClosedFormState(Record):
-    """State of the plant; the first four fields are what a `Plant` measures."""
+    """State of the plant; the first four fields are what a `Plant` measures, the first five with a ball."""
 
     pose: Vec6  # [rad, m], pitch in [-pi/2, pi/2].
     pose_rate: Vec6  # [rad/s, m/s] Euler rates and velocity.
     angles: Vec6  # [rad] of the cranks, not wrapped.
     crank_rate: Vec6  # [rad/s]
+    ball: Vec5  # [m, m/s, rad/s] place and velocity on the plate, spin; see `mechanics.rolling_ball`.
     twist: Vec6  # [rad/s, m/s] in B.
     bristles: Bristles
 
@@ -44,6 +62,8 @@ class ClosedFormParams(Record):
 
     base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     step: float  # [s]
+    ball: Ball
+    push: Vec2  # [N] on the ball, along the plate's axes.
 
 
 class ClosedFormOptions(MechanismOptions):
@@ -56,17 +76,21 @@ class ClosedFormOptions(MechanismOptions):
     """Integration: semi-implicit of first order, as in Drake, or Runge-Kutta of order 4. When a motor with dry friction
     reverses or sticks, both are of first order."""
 
-    def make(self, robot: RobotParameters, gravity: Gravity) -> ClosedForm:
-        return ClosedForm(robot, self, gravity)
+    def make(self, robot: RobotParameters, gravity: Gravity, ball: BallOptions | None = None) -> ClosedForm:
+        return ClosedForm(robot, self, gravity, ball)
 
 
 class ClosedForm:
     """The robot as a `Plant`; it uses time step, friction and payload of the options."""
 
-    def __init__(self, robot: RobotParameters, options: MechanismOptions, gravity: Gravity) -> None:
+    def __init__(
+        self, robot: RobotParameters, options: MechanismOptions, gravity: Gravity, ball: BallOptions | None = None
+    ) -> None:
         self._robot, self._home, self._state = robot, home_frames(robot), ClosedFormState.new()
-        self._measured = self._state.view(np.float64)[:24]
+        self._measured, self._ball = self._state.view(np.float64)[: 24 if ball is None else BALL.stop], ball
         params = ClosedFormParams.new(base=base_reading(gravity), step=on_grid(options.time_step))
+        if ball is not None:
+            params["ball"] = ball.record()
         # With options of other plants too, semi-implicit.
         self._kernel = _rk4 if getattr(options, "integrator", "") == "rk4" else _semi_implicit
         self._fixed, self._legs = (options.loaded(robot), options.friction_of(robot), params), Legs.empty()
@@ -76,6 +100,8 @@ class ClosedForm:
         angles, rates = crank_motion(self._robot, self._home, pose, pose_rate)
         state = ClosedFormState.new(pose=pose, pose_rate=pose_rate, angles=angles, crank_rate=rates)
         state["twist"], state["bristles"]["anchor"] = pose_rate_to_twist(pose, pose_rate), angles
+        if self._ball is not None:
+            state["ball"][0, :4] = *self._ball.start, *self._ball.velocity
         return self.restore(state)
 
     def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
@@ -87,6 +113,9 @@ class ClosedForm:
 
     def set_base(self, base: np.ndarray) -> None:
         self._fixed[2]["base"] = base
+
+    def push_ball(self, force: np.ndarray) -> None:
+        self._fixed[2]["push"] = force
 
     def save(self) -> ClosedFormState:
         return self._state.copy()
@@ -108,13 +137,28 @@ def crank_motion(
 
 @njit
 def _accelerations(
-    robot: Robot, legs: Legs, twist: Vec6, base: Vec9, torque: Vec6, wrench: Vec6, jacobian: Mat6, out: Matrix
+    robot: Robot,
+    legs: Legs,
+    twist: Vec6,
+    base: Vec9,
+    terms: Matrix,
+    torque: Vec6,
+    wrench: Vec6,
+    jacobian: Mat6,
+    out: Matrix,
 ) -> None:
-    """Acceleration under torques and a wrench in the last column of `out` (6, 1 or 7), with M^-1 J' before it if 7."""
+    """Acceleration under torques and a wrench in the last column of `out` (6, 1 or 7), with M^-1 J' before it if 7.
+
+    `terms` (8, 7) are the `ball_terms`, (0, 7) without a ball.
+    """
     inertia, load, crank_torque, still, last = np.empty((6, 6)), np.empty(6), np.empty(6), np.zeros(6), out.shape[1] - 1
     task_inertia(robot, legs, inertia)
     loads(robot, legs, twist, still, base, load, crank_torque)
     laws.crank_jacobian(legs, jacobian)
+    for k in range(6 if len(terms) else 0):
+        load[k] += terms[k, 6]
+        for i in range(6):
+            inertia[k, i] += terms[k, i]
     for k in range(6):
         out[k, last] = wrench[k] - load[k]
     for i in range(6):
@@ -195,11 +239,16 @@ def _semi_implicit(
     """
     robot, friction, params, legs, state = record(robot), record(friction), record(params), record(legs), record(state)
     step, jacobian, accelerations = params.step, np.empty((6, 6)), np.empty((6, 7))
-    twist, move, pose, friction_torque = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
+    twist, move, pose, friction_torque, change = np.empty(6), np.empty(6), np.empty(6), np.empty(6), np.empty(6)
     bad = laws.legs_at(robot, state.pose[:], legs)
     if bad >= 0:
         return laws.SERIAL, bad, legs.reach_margin[bad]
-    _accelerations(robot, legs, state.twist[:], params.base[:], torque, wrench, jacobian, accelerations)
+    terms, rate = np.empty((8 if params.ball.mass > 0.0 else 0, 7)), np.empty(5)
+    if len(terms):
+        ball_terms(
+            params.ball, legs.rotation[:], state.twist[:], params.base[:], state.ball[:], params.push[:], terms
+        )
+    _accelerations(robot, legs, state.twist[:], params.base[:], terms, torque, wrench, jacobian, accelerations)
     for k in range(6):
         twist[k] = state.twist[k] + step * accelerations[k, 6]
     if any_nonzero(friction.break_away[:]) or any_nonzero(friction.viscous[:]):
@@ -209,8 +258,17 @@ def _semi_implicit(
                 twist[k] += step * accelerations[k, i] * friction_torque[i]
     for k in range(6):
         move[k] = step * twist[k]
+    if len(terms):
+        for k in range(6):
+            change[k] = (twist[k] - state.twist[k]) / step
+        ball_rate(params.ball, legs.rotation[:], state.twist[:], change, terms, state.ball[:], rate)
     _moved_pose(legs.rotation[:], state.pose[3:], move[:3], move[3:], pose)
     bad = _end_step(robot, friction, legs, step, pose, twist, state)
+    if len(terms) and bad < 0:
+        for k in range(4, 1, -1):
+            state.ball[k] += step * rate[k]
+        for k in range(2):
+            state.ball[k] += step * state.ball[2 + k]
     return laws.SERIAL if bad >= 0 else laws.OK, bad, legs.reach_margin[max(bad, 0)]
 
 
@@ -264,8 +322,10 @@ def _rk4_step(
     """
     robot, friction, params, legs, state = record(robot), record(friction), record(params), record(legs), record(state)
     jacobian, acceleration = np.empty((6, 6)), np.empty((6, 1))
-    # Turn, shift and change of the twist since the step's beginning, their rates in a stage, and the mean of these.
-    change, rate, mean = np.zeros(12), np.empty(12), np.zeros(12)
+    # Turn, shift, and change of twist and ball since the step's beginning, their rates in a stage, the mean of these.
+    terms, ball = np.empty((8 if params.ball.mass > 0.0 else 0, 7)), np.empty(5)
+    size = 17 if len(terms) else 12
+    change, rate, mean = np.zeros(size), np.empty(size), np.zeros(size)
     held, applied, twist, pose, start = np.empty(6), np.empty(6), np.empty(6), np.empty(6), np.empty((3, 3))
     copy_to(held, torque)
     copy_to(pose, state.pose[:])
@@ -275,27 +335,35 @@ def _rk4_step(
             return bad, legs.reach_margin[bad]
         for k in range(6):
             twist[k] = state.twist[k] + change[6 + k]
+        if len(terms):
+            for k in range(5):
+                ball[k] = state.ball[k] + change[12 + k]
+            ball_terms(params.ball, legs.rotation[:], twist, params.base[:], ball, params.push[:], terms)
         if stage == 0:
             for k in range(3):
                 copy_to(start[k], legs.rotation[k])
             if any_nonzero(friction.break_away[:]) or any_nonzero(friction.viscous[:]):
-                _add_dry_friction(robot, friction, params, legs, wrench, step, state, held)
+                _add_dry_friction(robot, friction, params, legs, terms, wrench, step, state, held)
         copy_to(applied, held)
         _add_viscous_friction(friction, legs, twist, applied)
-        _accelerations(robot, legs, twist, params.base[:], applied, wrench, jacobian, acceleration)
+        _accelerations(robot, legs, twist, params.base[:], terms, applied, wrench, jacobian, acceleration)
         _turn_rate(change[:3], twist[:3], rate[:3])
         for k in range(3):
             rate[3 + k] = twist[3 + k]
         for k in range(6):
             rate[6 + k] = acceleration[k, 0]
+        if len(terms):
+            ball_rate(params.ball, legs.rotation[:], twist, acceleration[:, 0], terms, ball, rate[12:])
         weight, ahead = (2.0 if 0 < stage < 3 else 1.0) / 6.0, 0.5 if stage < 2 else 1.0
-        for k in range(12):
+        for k in range(size):
             mean[k] += weight * rate[k]
             change[k] = step * (ahead * rate[k] if stage < 3 else mean[k])
         _moved_pose(start, state.pose[3:], change[:3], change[3:6], pose)
     for k in range(6):
         twist[k] = state.twist[k] + change[6 + k]
     bad = _end_step(robot, friction, legs, step, pose, twist, state)
+    for k in range(5 if len(terms) and bad < 0 else 0):
+        state.ball[k] += change[12 + k]
     return bad, legs.reach_margin[max(bad, 0)]
 
 
@@ -326,7 +394,7 @@ def motion_rate(
     laws.twist_of(motion[:6], motion[6:], twist)
     copy_to(applied, torque)
     _add_viscous_friction(friction, legs, twist, applied)
-    _accelerations(robot, legs, twist, base, applied, wrench, jacobian, acceleration)
+    _accelerations(robot, legs, twist, base, np.empty((0, 7)), applied, wrench, jacobian, acceleration)
     laws.euler_drift(motion[:3], motion[6:], out[6:9])
     for k in range(6):
         out[k] = motion[6 + k]
@@ -341,6 +409,7 @@ def _add_dry_friction(
     friction: Friction,
     params: ClosedFormParams,
     legs: Legs,
+    terms: Matrix,
     wrench: Vec6,
     step: float,
     state: ClosedFormState,
@@ -348,7 +417,7 @@ def _add_dry_friction(
 ) -> None:
     """Adds the dry friction of a semi-implicit step to torques: its friction without the viscous part at its end."""
     jacobian, accelerations, twist, friction_torque = np.empty((6, 6)), np.empty((6, 7)), np.empty(6), np.empty(6)
-    _accelerations(robot, legs, state.twist[:], params.base[:], torque, wrench, jacobian, accelerations)
+    _accelerations(robot, legs, state.twist[:], params.base[:], terms, torque, wrench, jacobian, accelerations)
     for k in range(6):
         twist[k] = state.twist[k] + step * accelerations[k, 6]
     _friction_torque(friction, jacobian, accelerations, step, state, twist, friction_torque)

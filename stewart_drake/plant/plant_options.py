@@ -24,6 +24,8 @@ from stewart_drake.robot.leg import LARGEST_SIZE, Moderate
 MIN_TIME_STEP, MAX_TIME_STEP = 1e-6, 0.01  # [s] limited by rounding, and by the motion.
 POSE, RATE, ANGLES, CRANK_RATES = (slice(start, start + 6) for start in range(0, 24, 6))
 """Places in the measurement (24,) of a plant: pose [rad, m], its rate, angles of the cranks [rad], their rates."""
+BALL = slice(24, 29)
+"""Place of a ball in a measurement, which then has (29,): x, y [m] on the plate, their rates, spin [rad/s]."""
 
 RodJoint = Literal["universal", "ball"]
 """Joint between crank and rod. `ball` is the paper's topology; rods then spin freely about their axes."""
@@ -31,7 +33,7 @@ Place = Annotated[Real, Field(ge=-LARGEST_SIZE, le=LARGEST_SIZE)]
 
 
 class Plant(Protocol):
-    """A simulated robot. All methods but `save` return the measurement (24,), see `POSE`, valid until the next call."""
+    """A simulated robot. Most methods return the measurement (24,), see `POSE` and `BALL`, valid until the next call."""
 
     def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
         """Starts at a pose (6,) [rad, m] with a rate (6,) [rad/s, m/s]."""
@@ -41,6 +43,9 @@ class Plant(Protocol):
 
     def set_base(self, base: np.ndarray) -> None:
         """Sets the motion of the base until the next call: (9,), see `robot.gravity.base_reading`."""
+
+    def push_ball(self, force: np.ndarray) -> None:
+        """Sets the force (2,) [N] on a ball until the next call, along the plate's axes; only for one with a ball."""
 
     def save(self) -> object:
         """A copy of the state, for `restore` of a plant of the same kind."""
