@@ -4,7 +4,7 @@ import numpy as np
 from strategies import ROBOT
 
 from stewart_drake.loop.part import LoopContext
-from stewart_drake.scenario.assembly import context_of
+from stewart_drake.scenario.control_side import context_of
 from stewart_drake.scenario.scenario import Scenario
 
 

@@ -25,7 +25,7 @@ from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
 from stewart_drake.mechanics.kinematics_laws import Robot
 from stewart_drake.mechanics.linear_algebra import DIFFERENCE_STEP, derivatives
 from stewart_drake.robot import Gravity, RobotParameters
-from stewart_drake.scenario.assembly import control_side
+from stewart_drake.scenario.control_side import control_side
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 
 _STILL = 1e-7  # [SI units] largest change of a state in a tick at an equilibrium.

@@ -36,8 +36,8 @@ from stewart_drake.plant.closed_form import ClosedFormOptions
 from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES
 from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.robot.leg import LEG_COUNT
-from stewart_drake.scenario.assembly import context_of
 from stewart_drake.scenario.control_options import ControlOptions
+from stewart_drake.scenario.control_side import context_of
 
 _MOTORS = tuple(f"motor {leg}" for leg in range(LEG_COUNT))
 PARAMETERS = (

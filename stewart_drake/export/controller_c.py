@@ -17,8 +17,8 @@ from stewart_drake.export.loop import LoopSource
 from stewart_drake.export.program import from_template
 from stewart_drake.export.types import number
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_rate_to_twist, rotation_matrix
-from stewart_drake.scenario.assembly import ControlSide, control_side
 from stewart_drake.scenario.control_options import ControlOptions
+from stewart_drake.scenario.control_side import ControlSide, control_side
 from stewart_drake.scenario.controller import Controller, controller_parts
 
 REASONS = ", ".join(f'"{reason}"' for reason in FAILURES)

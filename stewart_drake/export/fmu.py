@@ -26,8 +26,9 @@ from stewart_drake.export.types import number
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.kinematics_laws import SERIAL, Legs
 from stewart_drake.plant.closed_form import ClosedForm
-from stewart_drake.scenario.assembly import command_path, context_of, control_side
+from stewart_drake.scenario.assembly import command_path
 from stewart_drake.scenario.control_options import ControlOptions
+from stewart_drake.scenario.control_side import context_of, control_side
 from stewart_drake.scenario.scenario import Scenario
 
 Numbers = Mapping[str, np.ndarray]

@@ -16,8 +16,8 @@ from stewart_drake.hardware.motors import within_limit
 from stewart_drake.loop.part import LoopRunner, Part
 from stewart_drake.mechanics.linear_algebra import all_finite
 from stewart_drake.safety import LEVELS, Stillness, first_trip
-from stewart_drake.scenario.assembly import ControlSide, control_side
 from stewart_drake.scenario.control_options import ControlOptions
+from stewart_drake.scenario.control_side import ControlSide, control_side
 
 
 class Controller:

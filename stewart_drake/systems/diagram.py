@@ -30,7 +30,8 @@ from stewart_drake.plant.multibody_plant import StewartRobot, add_plant
 from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.plant.servo_friction import connect_besides
 from stewart_drake.robot.gravity import same_gravity
-from stewart_drake.scenario.assembly import Source, loop_of
+from stewart_drake.scenario.assembly import loop_of
+from stewart_drake.scenario.control_side import Source
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.systems.library import PlatformWrench, ScenarioInput, TaskSpaceSensor, TimeSource, system_of
 

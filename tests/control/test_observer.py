@@ -12,7 +12,7 @@ from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.control.observer import WHITE_SHARE, ObserverOptions, bandwidth, kalman_gains
 from stewart_drake.mechanics.dynamics import forward_dynamics, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
-from stewart_drake.scenario.assembly import control_side
+from stewart_drake.scenario.control_side import control_side
 from stewart_drake.scenario.scenario import load_scenario
 
 GRAVITY, PERIOD, NOISE = 9.81, 0.001, 2.5e-5

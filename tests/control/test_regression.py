@@ -27,7 +27,7 @@ from stewart_drake.control.regression_records import Learnt, Sample
 from stewart_drake.control.square_root_filter import N_MOTOR, N_SHARED
 from stewart_drake.logs.signals import SIGNALS
 from stewart_drake.mechanics.kinematics_laws import Legs
-from stewart_drake.scenario.assembly import context_of
+from stewart_drake.scenario.control_side import context_of
 
 SIZE = 6 * N_MOTOR + N_SHARED
 REAL = {"stiffness": 0.85, "ratios": [1.04, 0.97, 1.0, 0.96, 1.03, 1.0], "delay": 0.04, "damping": 0.044}

@@ -14,7 +14,7 @@ from stewart_drake.base.sampling import on_grid
 from stewart_drake.base.yaml_files import shipped_folder
 from stewart_drake.export.controller_c import controller_files, export_controller
 from stewart_drake.export.loop import LoopSource
-from stewart_drake.scenario.assembly import control_side
+from stewart_drake.scenario.control_side import control_side
 from stewart_drake.scenario.controller import controller_parts
 from stewart_drake.scenario.stepped_loop import SteppedLoop
 

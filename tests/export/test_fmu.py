@@ -9,7 +9,7 @@ from stewart_drake.base.sampling import on_grid
 from stewart_drake.export.controller_c import readings_along
 from stewart_drake.export.fmu import write_units
 from stewart_drake.plant.closed_form import ClosedForm
-from stewart_drake.scenario.assembly import control_side
+from stewart_drake.scenario.control_side import control_side
 from stewart_drake.scenario.stepped_loop import SteppedLoop
 
 fmpy = pytest.importorskip("fmpy")

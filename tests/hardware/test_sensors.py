@@ -8,7 +8,7 @@ from stewart_drake import ConfigurationError, load_scenario, run
 from stewart_drake.analysis.linear_loop import linear_loops
 from stewart_drake.hardware.faults import EncoderFault, PoseFault
 from stewart_drake.hardware.sensors import EncoderOptions, encoder_part, faulty_sensor_part
-from stewart_drake.scenario.assembly import control_side
+from stewart_drake.scenario.control_side import control_side
 
 
 def read(options, angles, ticks=1):
