@@ -13,6 +13,7 @@ from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.config import did_you_mean
 from stewart_drake.base.errors import ConfigurationError, RunFailure, SafetyStop, StewartDrakeError
 from stewart_drake.base.sampling import steps_per
+from stewart_drake.hardware.ball import BALL_FELL
 from stewart_drake.mechanics.kinematics import inverse_kinematics, rotation_angle, rotation_matrix
 from stewart_drake.safety import MONITORS, RAMP, first_standstill, standstill_text
 from stewart_drake.scenario.limits import LimitMargin, longest_excursion
@@ -27,8 +28,8 @@ OUTCOMES: Mapping[str, str] = {
     "stopped": "The safety layer held the robot at the end, or until its time limit. The message names the monitor, "
     "the time and the leg.",
     "lost": "The controller was in charge, but the motion was not followed: a bound was exceeded, a rod left its joint "
-    "in the simulation, a crank or the platform did not move, its error was larger than the motion, or no command "
-    "reached the motors.",
+    "in the simulation, a crank or the platform did not move, its error was larger than the motion, no command "
+    "reached the motors, or a ball fell off the platform.",
     "failed": "The run ended early: an error in a tick, in Drake or in a user's controller; or the safety layer gave "
     "up and switched the motors off. In a study also where the worker process died.",
     "interrupted": "Ctrl-C, SIGTERM or SIGHUP ended it.",
@@ -353,6 +354,8 @@ def assess(
     if isinstance(ended_by, KeyboardInterrupt):
         return Outcome("interrupted", "interrupted", "stopped by the user", end_time)
     held = isinstance(ended_by, SafetyStop) and trip is not None and trip["last"] != "end"
+    if ended_by is not None and ended_by.reason == BALL_FELL:
+        return Outcome("lost", BALL_FELL, str(ended_by), end_time if ended_by.time is None else ended_by.time)
     if ended_by is not None and not held:
         when = end_time if ended_by.time is None else ended_by.time
         text = "\n".join(filter(None, (str(ended_by), ended_by.traceback)))

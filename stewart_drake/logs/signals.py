@@ -9,7 +9,7 @@ import numpy as np
 
 from stewart_drake.base.tables import AXES
 from stewart_drake.control.policy import NAMES
-from stewart_drake.plant.plant_options import ANGLES, POSE, RATE
+from stewart_drake.plant.plant_options import ANGLES, BALL, POSE, RATE
 
 LEG_NAMES = tuple(map(str, range(6)))
 ALL = slice(None)
@@ -43,6 +43,11 @@ def _legs(unit: str, text: str, source: str | None = None, part: slice = ALL, ti
 
 def _numbers(components: tuple[str, ...], text: str, source: str | None = None, title: str = "") -> Signal:
     return Signal(components, ("1",) * len(components), text, source, title=title)
+
+
+def _on_plate(unit: str, text: str, source: str | None = None, first: int | None = None) -> Signal:
+    start = 0 if first is None else first + (BALL.start if source == "measured" else 0)
+    return Signal(("x", "y"), (unit,) * 2, text, source, ALL if first is None else slice(start, start + 2))
 
 
 _DENSITY = (*(f"error_{axis}" for axis in AXES), *(f"torque_{leg}" for leg in LEG_NAMES))
@@ -88,6 +93,11 @@ SIGNALS: Mapping[str, Signal] = {
     "pose_rate_reading": _axes("rad/s", "m/s", "rate of `pose_reading`", "pose_reading", RATE),
     "innovation": _legs("rad", "readings minus the observer's predictions"),
     "disturbance": Signal(_WRENCH, ("N m",) * 3 + ("N",) * 3, "external wrench on the platform"),
+    "ball": _on_plate("m", "place of the ball on the plate, its centre in P", "measured", 0),
+    "ball_velocity": _on_plate("m/s", "velocity of the ball on the plate", "measured", 2),
+    "ball_reading": _on_plate("m", "place of the ball as read; NaN if not new"),
+    "ball_target": _on_plate("m", "target of the ball at the time for which a tilt is decided", "ball_target", 0),
+    "ball_estimate": _on_plate("m", "estimated place of the ball at that time", "ball_estimate", 0),
     "base_motion": Signal(
         _BASE, _BASE_UNITS, "motion of the base, as an inertial unit on it reads it, and its attitude"
     ),

@@ -24,6 +24,7 @@ from stewart_drake.robot import Gravity, RobotParameters
 if TYPE_CHECKING:
     from stewart_drake.control.friction_compensation import FrictionCompensation
     from stewart_drake.control.tuners import Tuner
+    from stewart_drake.hardware.ball import KnownBall
     from stewart_drake.hardware.imu import ImuOptions
     from stewart_drake.hardware.motors import MotorOptions
 
@@ -144,6 +145,7 @@ class LoopContext(NamedTuple):
     feedback: bool  # Whether the controller uses the measurement.
     split: bool  # Whether an LQI uses the compiled split solution for any `solver`.
     imu: ImuOptions | None = None  # Model of the inertial sensor on the platform, None for none.
+    ball: KnownBall | None = None  # Model of the ball on the platform, None for none.
 
     def ticking(self, period: float | None) -> LoopContext:
         """The context of a part of another period [s], with the delay in its ticks; None for the controller's."""

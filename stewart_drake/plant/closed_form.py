@@ -70,6 +70,7 @@ class ClosedFormOptions(MechanismOptions):
     """The exact closed form of the robot, compiled, without Drake: several times faster, for studies and searches."""
 
     compared_with: ClassVar[str | None] = "drake"
+    carries_ball: ClassVar[bool] = True
 
     kind: Literal["closed_form"] = "closed_form"
     integrator: Literal["semi_implicit", "rk4"] = "semi_implicit"

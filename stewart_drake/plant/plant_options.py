@@ -71,6 +71,8 @@ class PlantOptions(Section, ABC, key="plant"):
     """The kind that it replaces for speed; studies repeat one of their runs with that kind."""
     base_moves: ClassVar[bool] = True
     """Whether its base may move."""
+    carries_ball: ClassVar[bool] = False
+    """Whether a ball can roll on its platform."""
     joints_rub: ClassVar[bool] = False
     """Whether it can have friction in the rods' ball joints."""
     moved_keys: ClassVar[dict[str, str]] = {"engine": "plant.kind: drake, closed_form or module:Class"}

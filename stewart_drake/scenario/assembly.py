@@ -43,12 +43,14 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
     With `split` an LQI takes the compiled solution of its Riccati equation in any case. Raises as `control_side`.
     """
     sensors = sensor_parts(scenario)
-    side = control_side(scenario, split, "reading" if sensors else "plant_pose", scenario.base.sensor is not None)
+    side = control_side(scenario, split, _reading_of(sensors), scenario.base.sensor is not None)
     outside, logged = _outside(scenario), dict(side.logged)
     names = {"wrench": "disturbance", "base_motion": "base_motion"}
     logged |= {names[source.signal]: source.signal for source in outside if source.signal in names}
     way = command_path(scenario, side.command, side.initial_command, side.context.period, side.safety)
     logged["torque_applied"] = "motor_torque"
+    if scenario.ball is not None:
+        logged["ball_reading"] = "ball_reading"
     if scenario.sensors.imu is not None:
         logged["imu"] = "imu"
     if side.safety is not None:
@@ -66,15 +68,18 @@ def machine_side(scenario: Scenario) -> Loop:
     sensors, step = sensor_parts(scenario), scenario.plant.time_step
     first = scenario.controller_model.motors.initial_command(context_of(scenario, split=True))
     way = [part._replace(end_of_tick=True) for part in command_path(scenario, "command", first, step)]
-    reading = {"reading": "reading" if sensors else "plant_pose"}
+    reading = {"reading": _reading_of(sensors)}
     if scenario.sensors.imu is not None:
         reading["imu"] = "imu"
     return Loop((*sensors, *way), _outside(scenario), "motor_torque", reading, {"command": first})
 
 
 def _outside(scenario: Scenario) -> tuple[Source, ...]:
-    """External wrenches; and the motion of the base, `base` in the middle of a step of the plant."""
+    """External wrenches, forces on a ball; and the motion of the base, `base` in the middle of a step of the plant."""
     pushes, base, sources = scenario.disturbances, scenario.base, list[Source]()
+    if (ball := scenario.ball) is not None:
+        step = scenario.plant.time_step
+        sources.append(Source("ball_push", 2, lambda times: ball.thrown(times, step)))
     if pushes:
         sources.append(Source("wrench", 6, lambda times: total_wrench(pushes, times)))
     if (motion := base.motion) is not None:
@@ -85,12 +90,19 @@ def _outside(scenario: Scenario) -> tuple[Source, ...]:
 
 
 def sensor_parts(scenario: Scenario) -> list[Part]:
-    """Parts that compute the signals `reading`, none if it is the pose of the plant, and `imu`, if there is one."""
+    """Parts that compute `reading`, none if it is the pose of the plant, and `imu` and `ball_reading`, if there are."""
     imu, periods = scenario.sensors.imu, (scenario.plant.time_step, scenario.reading_period)
     inertial = (
         [] if imu is None else imu_parts(imu, scenario.gravity_in_base, *periods, np.concatenate(scenario.start()))
     )
-    return [*_reading_parts(scenario), *inertial]
+    of_ball = [] if scenario.ball is None else scenario.ball.parts(scenario.controller.period, scenario.plant.time_step)
+    return [*_reading_parts(scenario), *inertial, *of_ball]
+
+
+def _reading_of(sensors: list[Part]) -> str:
+    """Name of the signal that is the reading."""
+    given = {part.signal(output) for part in sensors for output in part.outputs}
+    return "reading" if "reading" in given else "plant_pose"
 
 
 def _reading_parts(scenario: Scenario) -> list[Part]:

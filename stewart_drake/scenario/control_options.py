@@ -27,11 +27,13 @@ from stewart_drake.base.families import place_users, placed
 from stewart_drake.base.registry import ADAPTATIONS, CONTROLLERS, ESTIMATORS, MOTORS, SENSORS, TUNERS
 from stewart_drake.base.sampling import on_grid, steps_per
 from stewart_drake.base.yaml_files import to_yaml
+from stewart_drake.control.ball_control import BallControlOptions
 from stewart_drake.control.base import AdaptationOptions, ControllerOptions
 from stewart_drake.control.estimator import DifferenceOptions, EstimatorOptions
 from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.control.tuners import PaperTuner, Tuner
+from stewart_drake.hardware.ball import KnownBall
 from stewart_drake.hardware.imu import ImuOptions
 from stewart_drake.hardware.motors import MotorOptions, TorqueMotors
 from stewart_drake.hardware.wiring import ServoOptions
@@ -71,6 +73,8 @@ class ModelOptions(Section, key="model"):
     whole ticks; default gains, tuners and adaptation count it as latency."""
     imu: ImuOptions | None = None
     """The inertial sensor on the platform; null for that of `sensors`. An observer uses it."""
+    ball: KnownBall | None = None
+    """The ball on the platform, for `ball_control`; null for the simulated one."""
     motors: Annotated[MotorOptions, MOTORS] | None = None
     """The motors; null for the simulated ones without their faults."""
     home: Vector6 | None = None
@@ -94,6 +98,7 @@ class Model(NamedTuple):
     home: tuple[float, ...] = (0.0,) * 6  # [rad] of the cranks where a machine reads zero.
     servos: ServoOptions | None = None
     imu: ImuOptions | None = None
+    ball: KnownBall | None = None
 
     @property
     def reading_size(self) -> int:
@@ -118,6 +123,8 @@ class ControlOptions(Section):
     """The controller's model of the machine; by default the simulated machine."""
     reference: AnyReference = Field(default_factory=SineReference)
     """The motion to follow."""
+    ball_control: BallControlOptions | None = None
+    """Balances a ball by tilting the reference; null for none."""
     initial_offset: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """[rad, m] start pose minus the reference's start pose; the start velocity is the reference's."""
     controller: Annotated[ControllerOptions, CONTROLLERS] = Field(default_factory=LqiOptions)
@@ -239,6 +246,13 @@ class ControlOptions(Section):
             space = partial(space_of, robot, limits, gravity)
             bound = self.reference.bound(robot.home_pose, space, workspace)
             self.__dict__["reference"] = bound
+        if self.ball_control is not None:
+            if isinstance(self.reference, StreamReference) or self.base_compensation == "level":
+                where = "reference of kind stream" if self.base_compensation != "level" else "base_compensation level"
+                raise ConfigurationError("ball_control", "a section", f"null, with a {where}")
+            if self.controller_model.ball is None:
+                raise ConfigurationError("model.ball", None, "a section, because ball_control is given")
+            self.controller_model.ball.sensor.ticks(self.controller.period)
         if self.controller_model.robot.tool is not None:
             for place, motion in placed(self.reference, RecordedReference, "reference"):
                 if motion.of_platform:

@@ -12,6 +12,7 @@ import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.keys import join_or
+from stewart_drake.control.ball_control import BallControlOptions
 from stewart_drake.control.base import LEARNT_SIGNALS, TRACKING_ERROR, AdaptationOptions
 from stewart_drake.control.base_reading import informed, level_part
 from stewart_drake.control.feedforward import lead_part
@@ -25,7 +26,7 @@ from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.small_parts import COMMAND, net_torque_part
 
 _UNTURNED = "unturned_"
-"""Before the name of a reference's signal, before it is turned against a moving base."""
+"""Before the name of a reference's signal, before it is turned against a moving base, or tilted for a ball."""
 Signal = str | np.ndarray
 """Name of a signal, or constant numbers in its place."""
 
@@ -57,8 +58,10 @@ class ControlSide(NamedTuple):
     @property
     def outside(self) -> dict[str, int]:
         """Signals that this side reads, and their sizes."""
-        imu = {"imu": 6} if any("imu" in part.inputs for part in self.parts) else {}
-        return {self.reading: self.context.reading, **imu, **{source.signal: source.size for source in self.sources}}
+        sensors = {"imu": 6, "ball_reading": 2}
+        others = {name: size for name, size in sensors.items() if any(name in part.inputs for part in self.parts)}
+        sources = {source.signal: source.size for source in self.sources}
+        return {self.reading: self.context.reading, **others, **sources}
 
     @property
     def every_part(self) -> tuple[Part, ...]:
@@ -114,6 +117,7 @@ def context_of(options: ControlOptions, split: bool = False) -> LoopContext:
         feedback=options.controller.feedback,
         split=split,
         imu=model.imu,
+        ball=model.ball,
     )
 
 
@@ -141,6 +145,17 @@ class _Wiring:
             self.parts.append(motion.part(ahead))
             self.sources = (Source("target", 6, lambda times: motion.targets(times + ahead)),)
         self.parts += levels
+        if (ball := self.options.ball_control) is not None:
+            self._add_ball(ball)
+
+    def _add_ball(self, options: BallControlOptions) -> None:
+        """What tilts the reference for a ball."""
+        preview, motion = self.options.preview, (self.sources[0].signal, self.sources[-1].signal)
+        part = options.part(self.context, preview).connected(motion=motion[0], motion_ahead=motion[1])
+        self.parts.append(part)
+        late = float(part.parameters["params"]["late"][0]) * self.context.period
+        self.sources += (Source("ball_target", 10, lambda times: options.target.evaluate(times + late)),)
+        self.logged |= {name: name for name in ("ball_target", "ball_estimate")}
 
     def add_estimator(self) -> None:
         """From a reading to pose and rate, now and when a command will act."""
@@ -288,7 +303,7 @@ def _references(options: ControlOptions) -> tuple[tuple[Source, ...], list[Part]
         return np.concatenate(options.reference.evaluate(times), axis=-1)
 
     level = options.base_compensation == "level"
-    prefix, preview = _UNTURNED if level else "", options.preview
+    prefix, preview = _UNTURNED if level or options.ball_control is not None else "", options.preview
     now = Source(f"{prefix}reference", 18, motion)
     ahead = Source(f"{prefix}reference_ahead", 18, lambda times: motion(times + preview))
     sources = (now, ahead) if preview > 0.0 else (now,)

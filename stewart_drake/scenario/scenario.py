@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
@@ -24,6 +25,7 @@ from stewart_drake.base.registry import MOTORS, OWN_METRICS, PLANTS, SENSORS
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.base.yaml_files import find_file, parse_changes, read_mapping
 from stewart_drake.control.base_reading import LevelReference
+from stewart_drake.hardware.ball import BallOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.motors import LinkOptions, MotorOptions, TorqueMotors
 from stewart_drake.hardware.moving_base import BaseOptions, base_signal
@@ -34,7 +36,14 @@ from stewart_drake.plant.plant_options import DrakeOptions, PlantOptions
 from stewart_drake.references import RecordedReference
 from stewart_drake.references.motions import Reference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import FixedGravity, GravityKey, Orientation, gravity_text, turned_gravity
+from stewart_drake.robot.gravity import (
+    FixedGravity,
+    GravityKey,
+    Orientation,
+    gravity_text,
+    gravity_vector,
+    turned_gravity,
+)
 from stewart_drake.robot.robot_files import AnyRobot
 from stewart_drake.robot.robot_scale import PAPER
 from stewart_drake.scenario.control_options import ControlOptions, Model
@@ -72,6 +81,8 @@ class Scenario(ControlOptions):
     """The motors, with their imperfections; by default they take torques and have none."""
     disturbances: tuple[AnyDisturbance, ...] = ()
     """External wrenches on the platform; they add up."""
+    ball: BallOptions | None = None
+    """A ball that rolls on the platform, and the sensor that sees it; null for none."""
     sensors: Annotated[SensorOptions, SENSORS] = Field(default_factory=IdealSensors)
     """The sensors: what they measure, their resolution, noise and faults."""
     command_delay: Annotated[Count, Field(ge=0, le=100)] = 0
@@ -124,7 +135,7 @@ class Scenario(ControlOptions):
         readings, motors = self.sensors, self.motors.nominal
         read = readings.reading, readings.reading_noise
         model = Model(self.robot, self.gravity_in_base, None, *read, self.command_delay, motors, readings.delay)
-        return model._replace(imu=readings.imu)
+        return model._replace(imu=readings.imu, ball=None if self.ball is None else self.ball.known)
 
     @property
     def asked(self) -> Reference:
@@ -177,6 +188,7 @@ class Scenario(ControlOptions):
             raise ConfigurationError(
                 "model.reading", self.controller_model.reading, f"{self.sensors.reading}, as sensors read"
             )
+        self._check_ball()
         if self.model.imu is not None and self.sensors.imu is None:
             raise ConfigurationError("model.imu", "a sensor", "null, because sensors.imu is null")
         model_motors, motors = self.controller_model.motors, self.motors
@@ -208,6 +220,22 @@ class Scenario(ControlOptions):
             steps_per("log_period", self.log_period, self.plant.time_step)
             if self.log_period > self.duration:
                 raise ConfigurationError("log_period", self.log_period, f"at most the duration, {self.duration:g} s")
+
+
+    def _check_ball(self) -> None:
+        if self.ball is None:
+            if self.model.ball is not None or self.ball_control is not None:
+                key = "model.ball" if self.ball_control is None else "ball_control"
+                raise ConfigurationError(key, "a section", "null, because ball is null")
+            return
+        if not self.plant.carries_ball:
+            raise ConfigurationError("plant.kind", self.plant.kind, "closed_form or drake, for a ball")
+        self.base.refuse_motion("a ball on the platform")
+        x, y, z = gravity_vector(self.gravity_in_base)
+        if not math.hypot(x, y) <= -z:
+            allowed = "gravity within 45 deg of -z of the base, which holds the ball on the plate"
+            raise ConfigurationError("gravity", (x, y, z), allowed)
+        self.ball.sensor.ticks(self.controller.period)
 
 
 _Options = TypeVar("_Options", bound=ControlOptions)

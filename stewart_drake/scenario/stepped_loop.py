@@ -9,7 +9,7 @@ import numpy as np
 from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.base.sampling import InBlocks, on_grid
 from stewart_drake.loop.part import LoopRunner
-from stewart_drake.plant.plant_options import ANGLES, CRANK_RATES, POSE, RATE, Plant
+from stewart_drake.plant.plant_options import ANGLES, BALL, CRANK_RATES, POSE, RATE, Plant
 from stewart_drake.scenario.assembly import Loop, loop_of
 from stewart_drake.scenario.scenario import Scenario
 
@@ -29,7 +29,7 @@ class SteppedLoop:
         runner: Runs the parts and has their states.
         plant: The plant.
         now: Number of steps of the plant so far.
-        measured: (24,) output of the plant, see `plant_options.POSE`.
+        measured: (24,) output of the plant, see `plant_options.POSE`; (29,) with a ball.
         torque: (6,) [N m] torques of the motors.
     """
 
@@ -46,19 +46,23 @@ class SteppedLoop:
             raise ConfigurationError("plant.kind", scenario.plant.kind, allowed)
         time_step, self.now = scenario.plant.time_step, 0
         self._step = on_grid(time_step)
-        self.plant = scenario.plant.make(scenario.robot, scenario.gravity_in_base) if plant is None else plant
+        ball = () if scenario.ball is None else (scenario.ball,)
+        self.plant = scenario.plant.make(scenario.robot, scenario.gravity_in_base, *ball) if plant is None else plant
         evaluated: dict[str, Callable[[int], np.ndarray]] = {
             source.signal: InBlocks(source.evaluate, time_step).at for source in self.parts.sources
         }
         for name, replacing in (sources or {}).items():
             unturned = f"unturned_{name}"
             evaluated[unturned if unturned in evaluated else name] = replacing
-        outside = {"measured": 24, "wrench": 6, **{source.signal: source.size for source in self.parts.sources}}
+        size = BALL.stop if ball else CRANK_RATES.stop
+        outside = {"measured": size, "wrench": 6, **{source.signal: source.size for source in self.parts.sources}}
         outside |= {name: len(first) for name, first in self.parts.inputs.items()}
         inside = {"plant_pose": slice(POSE.start, RATE.stop), "crank_state": slice(ANGLES.start, CRANK_RATES.stop)}
+        inside |= {"ball": BALL} if ball else {}
         self.runner = LoopRunner(self.parts.parts, outside, inside, scenario.controller.period, time_step)
         self.measured, self._wrench = self.runner.signal("measured"), self.runner.signal("wrench")
         self._base = self.runner.signal("base") if "base" in outside else None
+        self._ball_push = self.runner.signal("ball_push") if ball else None
         self.torque = self.runner.signal(self.parts.torque)
         self._sources = [(self.runner.signal(name), evaluate) for name, evaluate in evaluated.items()]
 
@@ -92,6 +96,8 @@ class SteppedLoop:
         self.runner.end(self.now)
         if self._base is not None:
             self.plant.set_base(self._base)
+        if self._ball_push is not None:
+            self.plant.push_ball(self._ball_push)
         try:
             self.measured[:] = self.plant.step(self.torque, self._wrench)
         except RunFailure as failure:

@@ -1,0 +1,210 @@
+"""A ball on the platform: what it is, where it starts, who throws it, and the sensor that sees it.
+
+A plate is fixed to the platform, across the z axis of P. Places on it are x, y [m] in P.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from stewart_drake.base.config import Flag, NotNegative, Period, Positive, Real, Section, Seed, Share, Text
+from stewart_drake.base.errors import ConfigurationError, Status
+from stewart_drake.base.families import Table
+from stewart_drake.base.records import Record, Vec2
+from stewart_drake.base.sampling import steps_per
+from stewart_drake.hardware.faults import tick_numbers
+from stewart_drake.hardware.motors import delay_part
+from stewart_drake.loop.part import Part
+from stewart_drake.mechanics.rolling_ball import Ball
+from stewart_drake.robot.leg import LARGEST_SIZE, Coordinate
+from stewart_drake.robot.robot_scale import LENGTH
+
+Pair = tuple[Coordinate, Coordinate]
+_STREAM = 8  # Number of the stream of random numbers, see `faults.tick_numbers`.
+_FELL, _ENDLESS = 1, 2  # Statuses of the sensor.
+
+# Steel of 7850 kg/m^3; ITTF, The Laws of Table Tennis, 2.3: 40 mm, 2.7 g.
+BALLS: dict[str, dict[str, float | bool]] = {
+    "steel": {},
+    "table_tennis": {"mass": 0.0027, "hollow": True, "resistance": 0.01},
+}
+# Assumed: a resistive touch screen read at 100 Hz, and a camera of 50 frames a second above the plate.
+SENSORS: dict[str, dict[str, float]] = {"touch": {}, "camera": {"period": 0.02, "delay": 0.04, "noise": 0.001}}
+
+
+class BallPlate(Section, key="ball.plate"):
+    """The plate that a ball rolls on."""
+
+    height: Coordinate = 0.0
+    """[m] of the plate's surface over P, along the z axis of P."""
+    radius: Annotated[Positive, Field(le=LARGEST_SIZE), LENGTH] = 0.15
+    """[m] of the plate; a ball beyond it falls, and ends the run. The default scales with the robot."""
+
+
+class BallSensor(Section, key="ball.sensor"):
+    """The sensor of the ball's place on the plate."""
+
+    preset: Annotated[Text, Table(dict(SENSORS))] | None = None
+    """A usual sensor, which sets the defaults of the other keys: touch for a touch screen, camera."""
+    period: Period = 0.01
+    """[s] between two readings, a multiple of the controller's period; a shorter one has no effect."""
+    delay: Annotated[NotNegative, Field(le=0.5)] = 0.0
+    """[s] age of a reading when the controller gets it."""
+    noise: Annotated[Positive, Field(le=1.0)] = 0.0003
+    """[m] standard deviation of each coordinate."""
+    noise_seed: Seed = 0
+    """Seed of the noise."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_preset(cls, data: object) -> object:
+        return _preset(SENSORS, data)
+
+    def ticks(self, period: float) -> int:
+        """Ticks of a controller's period [s] between two readings."""
+        return steps_per("ball.sensor.period", max(self.period, period), period, "controller.period")
+
+
+class Throw(Section, key="ball.throws"):
+    """A blow that changes the ball's velocity at once."""
+
+    time: NotNegative
+    """[s] when."""
+    velocity: Pair
+    """[m/s] change of the velocity along x and y of the plate, of a ball that rolls."""
+
+
+class KnownBall(Section, key="model.ball"):
+    """A ball as the controller knows it."""
+
+    preset: Annotated[Text, Table(dict(BALLS))] | None = None
+    """A usual ball of 40 mm, which sets the defaults of the other keys: steel, table_tennis."""
+    mass: Annotated[Positive, Field(le=LARGEST_SIZE)] = 0.263
+    """[kg]"""
+    radius: Annotated[Positive, Field(le=LARGEST_SIZE)] = 0.02
+    """[m]"""
+    hollow: Flag = False
+    """Whether all of its mass is in its surface."""
+    plate: BallPlate = Field(default_factory=BallPlate)
+    """The plate that it rolls on."""
+    sensor: BallSensor = Field(default_factory=BallSensor)
+    """The sensor of its place."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_preset(cls, data: object) -> object:
+        return _preset(BALLS, data)
+
+    @property
+    def inertia(self) -> float:
+        """[kg m^2] about its centre."""
+        return (2.0 / 3.0 if self.hollow else 0.4) * self.mass * self.radius**2
+
+    @property
+    def rolling_mass(self) -> float:
+        """[kg] its mass, and its rotation as mass."""
+        return self.mass + self.inertia / self.radius**2
+
+    def per_tilt(self, gravity: float) -> tuple[float, float]:
+        """Acceleration [m/s^2] of the ball per rad of tilt, and per rad/s^2 of its second derivative.
+
+        The plate turns about P, gravity is in [m/s^2].
+        """
+        arm = self.mass * (self.plate.height + self.radius) + self.inertia / self.radius
+        return self.mass * gravity / self.rolling_mass, -arm / self.rolling_mass
+
+
+class BallOptions(KnownBall, key="ball"):
+    """A ball that rolls on the platform."""
+
+    resistance: Share = 0.001
+    """[-] coefficient of rolling resistance."""
+    friction: Annotated[Positive, Field(le=10.0)] = 0.5
+    """[-] coefficient of sliding friction; where plant.kind is drake the ball may slip, else it never does."""
+    start: Pair = (0.0, 0.0)
+    """[m] x, y of its centre at the start."""
+    velocity: Pair = (0.0, 0.0)
+    """[m/s] of its centre on the plate at the start."""
+    throws: tuple[Throw, ...] = ()
+    """Blows that it gets."""
+
+    def rules(self) -> None:
+        if math.hypot(*self.start) >= self.plate.radius:
+            allowed = f"a place on the plate, less than {self.plate.radius:g} m from its centre"
+            raise ConfigurationError("start", self.start, allowed)
+
+    @property
+    def known(self) -> KnownBall:
+        """The ball as a controller knows it that knows all of it."""
+        names = KnownBall.__pydantic_fields__
+        return KnownBall(**{name: getattr(self, name) for name in names})
+
+    def record(self) -> Ball:
+        """Numbers for `mechanics.rolling_ball`."""
+        return Ball.new(self, inertia=self.inertia, height=self.plate.height)
+
+    def force(self, velocity: np.ndarray, step: float) -> np.ndarray:
+        """Force (..., 2) [N] that changes the velocity by so much [m/s] in a step [s] of the plant."""
+        return self.rolling_mass / step * np.asarray(velocity)
+
+    def thrown(self, times: np.ndarray, step: float) -> np.ndarray:
+        """Force (n, 2) [N] of the throws in the plant's steps [s] that begin at times (n,) [s]."""
+        forces = np.zeros((len(times), 2))
+        for throw in self.throws:
+            # The first step that begins at the throw's time or later.
+            forces[np.rint(times / step) == math.ceil(throw.time / step - 1e-6)] += self.force(throw.velocity, step)
+        return forces
+
+    def parts(self, period: float, step: float) -> list[Part]:
+        """Parts from the plant's `ball` (5,) to `ball_reading` (2,), for ticks of a period [s] and steps [s].
+
+        A reading is NaN where there is no new one.
+        """
+        late = round(self.sensor.delay / step)
+        first = np.array([*self.start, *self.velocity, 0.0])
+        constants = {"options": self, "every": self.sensor.ticks(period)}
+        inputs, state = {"ball": 5, "ball_seen": 5}, BallReading.new()
+        part = Part("ball_sensor", _sense, constants, inputs, ("ball_reading",), state, statuses=_STATUSES)
+        if not late:
+            return [part.connected(ball_seen="ball")]
+        delay = delay_part(late, first, "ball_delay")._replace(period=step).connected(value="ball")
+        return [delay.named(value="ball_seen"), part]
+
+
+def _preset(presets: dict[str, dict[str, float]] | dict[str, dict[str, float | bool]], data: object) -> object:
+    name = data.get("preset") if isinstance(data, dict) else None
+    return {**presets[name], **data} if isinstance(name, str) and name in presets else data  # type: ignore[dict-item]
+
+
+class BallReading(Record):
+    """State of the sensor."""
+
+    ball_reading: Vec2  # [m] NaN where there is no new reading.
+    ticks: float  # Done.
+
+
+def _sense(
+    options: BallOptions, every: int, ball: np.ndarray, ball_seen: np.ndarray, state: BallReading
+) -> tuple[int, int, float]:
+    now, ticks = state["ball_reading"][0], int(state["ticks"][0])
+    away = math.hypot(ball[0], ball[1])
+    if not away <= options.plate.radius:
+        return (_FELL if math.isfinite(away) else _ENDLESS), -1, away
+    now[:] = np.nan
+    if ticks % every == 0:
+        normal = tick_numbers(options.sensor.noise_seed, _STREAM, ticks // every, 2, normal=True)
+        now[:] = ball_seen[:2] + options.sensor.noise * normal
+    state["ticks"] += 1.0
+    return 0, -1, 0.0
+
+
+BALL_FELL = "ball_fell"
+"""Reason of a run that ended when the ball left the plate."""
+_STATUSES = {
+    _FELL: Status(BALL_FELL, text="the ball rolled over the rim of the plate, {options.plate.radius:g} m from its centre"),
+    _ENDLESS: Status("not_finite", "ball", text="the ball's motion"),
+}
