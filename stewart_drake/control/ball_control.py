@@ -16,7 +16,7 @@ follow it exactly. Readings are old, and a tilt that is decided now acts later. 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
@@ -29,17 +29,23 @@ from stewart_drake.control.observer import kalman_gains
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.references import AnyReference
 from stewart_drake.references.motions import smoothstep
-from stewart_drake.robot.gravity import gravity_vector
+from stewart_drake.robot.gravity import Gravity, gravity_vector
 from stewart_drake.robot.leg import Coordinate
-
-if TYPE_CHECKING:
-    from stewart_drake.hardware.ball import KnownBall
 
 MOST_TICKS = 200  # [ticks] from a reading to the time when the tilt decided from it acts.
 PATIENCE = 10  # [readings] missing in a row, after which the plate goes level.
 _STENCIL = 0.005  # [s] step of the differences that give the third and fourth derivative of a path.
 Vec10 = Annotated[np.ndarray, (10,)]
 Tilts = Annotated[np.ndarray, (MOST_TICKS + 2, 3, 2)]
+
+
+HOLDS = "gravity within 45 deg of -z of the base, which holds the ball on the plate"
+
+
+def holds_ball(gravity: Gravity) -> bool:
+    """Whether a ball stays on a plate that is level in the base."""
+    x, y, z = gravity_vector(gravity)
+    return bool(0.0 < -z >= math.hypot(x, y))
 
 
 class BallTarget(Section, key="ball_control.target"):
@@ -84,9 +90,9 @@ class BallControlOptions(Section, key="ball_control"):
 
     target: BallTarget = Field(default_factory=BallTarget)
     """Where the ball is to be."""
-    q_place: Positive = 400.0
+    q_place: Positive = 600.0
     """[1/m^2] weight of the error of the ball's place in the quadratic cost."""
-    q_velocity: NotNegative = 30.0
+    q_velocity: NotNegative = 20.0
     """[s^2/m^2] weight of the error of its velocity."""
     q_tilt: NotNegative = 4.0
     """[1/rad^2] weight of the tilt."""
@@ -111,18 +117,15 @@ class BallControlOptions(Section, key="ball_control"):
         robot now and ahead, to `reference` (18,) and `reference_ahead` (18,).
         """
         ball, period = context.ball, context.period
-        if ball is None:
-            raise ConfigurationError("model.ball", None, "a section, because ball_control is given")
-        x, y, z = gravity_vector(context.gravity)
-        if not math.hypot(x, y) <= -z:
-            allowed = "one that holds the ball on the plate, within 45 deg of -z of the base"
-            raise ConfigurationError("model.gravity", (x, y, z), allowed)
-        tilt, bend = ball.per_tilt(-z)
+        assert ball is not None  # See `ControlOptions.rules`.
+        if not holds_ball(context.gravity):
+            raise ConfigurationError("model.gravity", context.gravity, HOLDS)
+        tilt, bend = ball.per_tilt(-gravity_vector(context.gravity)[2])
         # A loop that is not ahead follows later.
         acts = max(preview, context.delay * period + context.motors.dead_time)
         every, age, late = ball.sensor.ticks(period), round(ball.sensor.delay / period), round(acts / period)
         if age + late > MOST_TICKS:
-            allowed = f"with the delay of commands at most {MOST_TICKS} ticks of {period:g} s"
+            allowed = f"at most {(MOST_TICKS - late) * period:g} s, {MOST_TICKS} ticks with the delay of commands"
             raise ConfigurationError("ball.sensor.delay", ball.sensor.delay, allowed)
         gains = kalman_gains(ball.sensor.noise, self.disturbance, every * period)
         params = BallParams.new(
@@ -141,6 +144,15 @@ class BallControlOptions(Section, key="ball_control"):
         outputs = ("reference", "reference_ahead", "ball_estimate")
         return Part("ball_control", ball_tick, {}, inputs, outputs, BallState.new(), parameters={"params": params})
 
+    def extremes(self, motion: np.ndarray) -> dict[str, np.ndarray]:
+        """Rows (m, 18) of a motion (n, 18), tilted as far, as fast and as hard as may be, by the key of the limit."""
+        found, pairs = {}, np.array([(a, b) for a in (-1.0, 0.0, 1.0) for b in (-1.0, 0.0, 1.0) if a or b])
+        for place, key in ((0, "max_tilt"), (6, "max_rate"), (12, "max_acceleration")):
+            rows = np.repeat(motion, len(pairs), axis=0)
+            rows[:, place : place + 2] += getattr(self, key) * np.tile(pairs, (len(motion), 1))
+            found[key] = rows
+        return found
+
     def gain(self, tilt: float, bend: float, period: float) -> np.ndarray:
         """K (4,) of u = -K [place, velocity, tilt, rate], for `per_tilt` numbers and a period [s]."""
         from scipy.linalg import expm, solve_discrete_are
@@ -150,8 +162,16 @@ class BallControlOptions(Section, key="ball_control"):
         model[1, 2], model[1, 4] = tilt, bend
         step = expm(period * model)[:4]
         a, b, q = step[:, :4], step[:, 4:], np.diag([self.q_place, self.q_velocity, self.q_tilt, self.q_rate])
-        p = solve_discrete_are(a, b, q, np.array([[self.r]]))
-        return np.asarray(np.linalg.solve(self.r + b.T @ p @ b, b.T @ p @ a)[0])
+        try:
+            with np.errstate(all="ignore"):
+                p = solve_discrete_are(a, b, q, np.array([[self.r]]))
+                gain = np.linalg.solve(self.r + b.T @ p @ b, b.T @ p @ a)[0]
+                stable = np.abs(np.linalg.eigvals(a - b * gain)).max() < 1.0
+        except (ValueError, np.linalg.LinAlgError):
+            stable = False
+        if not stable:
+            raise ConfigurationError("ball_control.r", self.r, "weights that lie closer together: no gain stabilises")
+        return np.asarray(gain)
 
 
 class BallParams(Record):
@@ -205,7 +225,7 @@ def _allowed(params: BallParams, tilt: float, rate: float) -> float:
 
 
 @njit
-def _tilted(params: BallParams, motion: Vec18, tilts: Tilts, row: int, since: float, out: Vec18) -> None:
+def _tilted(motion: Vec18, tilts: Tilts, row: int, since: float, out: Vec18) -> None:
     """A reference with the tilt `since` [s] after the beginning of a row's tick."""
     for k in range(18):
         out[k] = motion[k]
@@ -266,5 +286,5 @@ def ball_tick(
     if read:
         state.started = 1.0
     back = np.ceil(params.ahead - 1e-9)
-    _tilted(params, motion_ahead, tilts, 0, 0.0, state.reference_ahead[:])
-    _tilted(params, motion, tilts, int(back), (back - params.ahead) * h, state.reference[:])
+    _tilted(motion_ahead, tilts, 0, 0.0, state.reference_ahead[:])
+    _tilted(motion, tilts, int(back), (back - params.ahead) * h, state.reference[:])

@@ -6,12 +6,13 @@ A plate is fixed to the platform, across the z axis of P. Places on it are x, y 
 from __future__ import annotations
 
 import math
-from typing import Annotated, NamedTuple
+from collections.abc import Mapping
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from stewart_drake.base.config import Flag, NotNegative, Period, Positive, Real, Section, Seed, Share, Text
+from stewart_drake.base.config import Flag, NotNegative, Period, Positive, Section, Seed, Share, Text
 from stewart_drake.base.errors import ConfigurationError, Status
 from stewart_drake.base.families import Table
 from stewart_drake.base.records import Record, Vec2
@@ -28,7 +29,7 @@ _STREAM = 8  # Number of the stream of random numbers, see `faults.tick_numbers`
 _FELL, _ENDLESS = 1, 2  # Statuses of the sensor.
 
 # Steel of 7850 kg/m^3; ITTF, The Laws of Table Tennis, 2.3: 40 mm, 2.7 g.
-BALLS: dict[str, dict[str, float | bool]] = {
+BALLS: dict[str, dict[str, float]] = {
     "steel": {},
     "table_tennis": {"mass": 0.0027, "hollow": True, "resistance": 0.01},
 }
@@ -62,7 +63,7 @@ class BallSensor(Section, key="ball.sensor"):
     @model_validator(mode="before")
     @classmethod
     def _with_preset(cls, data: object) -> object:
-        return _preset(SENSORS, data)
+        return _preset(cls, SENSORS, data)
 
     def ticks(self, period: float) -> int:
         """Ticks of a controller's period [s] between two readings."""
@@ -97,7 +98,7 @@ class KnownBall(Section, key="model.ball"):
     @model_validator(mode="before")
     @classmethod
     def _with_preset(cls, data: object) -> object:
-        return _preset(BALLS, data)
+        return _preset(cls, BALLS, data)
 
     @property
     def inertia(self) -> float:
@@ -147,7 +148,7 @@ class BallOptions(KnownBall, key="ball"):
         """Numbers for `mechanics.rolling_ball`."""
         return Ball.new(self, inertia=self.inertia, height=self.plate.height)
 
-    def force(self, velocity: np.ndarray, step: float) -> np.ndarray:
+    def force(self, velocity: np.ndarray | Pair, step: float) -> np.ndarray:
         """Force (..., 2) [N] that changes the velocity by so much [m/s] in a step [s] of the plant."""
         return self.rolling_mass / step * np.asarray(velocity)
 
@@ -175,9 +176,11 @@ class BallOptions(KnownBall, key="ball"):
         return [delay.named(value="ball_seen"), part]
 
 
-def _preset(presets: dict[str, dict[str, float]] | dict[str, dict[str, float | bool]], data: object) -> object:
-    name = data.get("preset") if isinstance(data, dict) else None
-    return {**presets[name], **data} if isinstance(name, str) and name in presets else data  # type: ignore[dict-item]
+def _preset(section: type[Section], presets: Mapping[str, Mapping[str, float]], data: object) -> object:
+    """The keys of a section, and those of its preset that it has."""
+    if not isinstance(data, dict) or not isinstance(name := data.get("preset"), str):
+        return data
+    return {key: value for key, value in presets.get(name, {}).items() if key in section.__pydantic_fields__} | data
 
 
 class BallReading(Record):
@@ -205,6 +208,8 @@ def _sense(
 BALL_FELL = "ball_fell"
 """Reason of a run that ended when the ball left the plate."""
 _STATUSES = {
-    _FELL: Status(BALL_FELL, text="the ball rolled over the rim of the plate, {options.plate.radius:g} m from its centre"),
+    _FELL: Status(
+        BALL_FELL, text="the ball fell off the plate, whose rim is {options.plate.radius:g} m from its centre"
+    ),
     _ENDLESS: Status("not_finite", "ball", text="the ball's motion"),
 }

@@ -246,9 +246,7 @@ def _semi_implicit(
         return laws.SERIAL, bad, legs.reach_margin[bad]
     terms, rate = np.empty((8 if params.ball.mass > 0.0 else 0, 7)), np.empty(5)
     if len(terms):
-        ball_terms(
-            params.ball, legs.rotation[:], state.twist[:], params.base[:], state.ball[:], params.push[:], terms
-        )
+        ball_terms(params.ball, legs.rotation[:], state.twist[:], params.base[:], state.ball[:], params.push[:], terms)
     _accelerations(robot, legs, state.twist[:], params.base[:], terms, torque, wrench, jacobian, accelerations)
     for k in range(6):
         twist[k] = state.twist[k] + step * accelerations[k, 6]

@@ -33,7 +33,7 @@ Place = Annotated[Real, Field(ge=-LARGEST_SIZE, le=LARGEST_SIZE)]
 
 
 class Plant(Protocol):
-    """A simulated robot. Most methods return the measurement (24,), see `POSE` and `BALL`, valid until the next call."""
+    """A simulated robot. Its motion is a measurement (24,), see `POSE` and `BALL`, valid until the next call."""
 
     def initial(self, pose: np.ndarray, pose_rate: np.ndarray) -> np.ndarray:
         """Starts at a pose (6,) [rad, m] with a rate (6,) [rad/s, m/s]."""
@@ -44,14 +44,18 @@ class Plant(Protocol):
     def set_base(self, base: np.ndarray) -> None:
         """Sets the motion of the base until the next call: (9,), see `robot.gravity.base_reading`."""
 
-    def push_ball(self, force: np.ndarray) -> None:
-        """Sets the force (2,) [N] on a ball until the next call, along the plate's axes; only for one with a ball."""
-
     def save(self) -> object:
         """A copy of the state, for `restore` of a plant of the same kind."""
 
     def restore(self, state: Any) -> np.ndarray:
         """Sets a saved state; raises a ConfigurationError for one of another kind of plant."""
+
+
+class BallPlant(Plant, Protocol):
+    """A simulated robot with a ball on it."""
+
+    def push_ball(self, force: np.ndarray) -> None:
+        """Sets the force (2,) [N] on the ball until the next call, along the plate's axes."""
 
 
 def foreign_state(state: object, expected: str) -> ConfigurationError:

@@ -39,6 +39,7 @@ _SLOW_LOOP_FALL = 0.03  # Free fall over the characteristic length in a slow loo
 _SLOW_LOOP_TICKS = 30  # A slow loop fails within this number of ticks; assumed.
 _PASSED: set[object] = set()  # Checked motions, as a search runs the same one a thousand times.
 _MAX_PASSED = 64
+_TILTED = 50  # Poses of a motion that are checked with tilts for a ball.
 
 
 def refuse_unrunnable(scenario: Scenario) -> None:
@@ -57,7 +58,8 @@ def check_scenario(scenario: Scenario) -> None:
     setup = (scenario.robot, scenario.controller_model, scenario.limits, scenario.safety, scenario.gravity_in_base)
     motion = (scenario.reference, scenario.duration, scenario.initial_offset, scenario.controller.period)
     files = {"reference": to_plain(scenario.reference), "base": to_plain(scenario.base)}
-    key = (*setup, *motion, scenario.base, scenario.base_compensation, tuple(file_digests(files).items()))
+    others = (scenario.ball_control, scenario.base, scenario.base_compensation)
+    key = (*setup, *motion, *others, tuple(file_digests(files).items()))
     # A user's code may give other results the next time.
     repeatable = not user_parts(scenario)
     if not (repeatable and key in _PASSED):
@@ -71,6 +73,7 @@ def check_scenario(scenario: Scenario) -> None:
             error.allowed = "; ".join([error.allowed, *hints])
             raise
         _check_rates(scenario)
+        _check_tilts(scenario)
         if scenario.safety is not None:
             _check_safety(scenario, scenario.safety)
         if repeatable:
@@ -155,6 +158,22 @@ def _check_rates(scenario: Scenario) -> None:
             got = f"{AXES[axis]} {given[row, axis]:.4g} {unit} at t = {times[row]:.3f} s"
             allowed = f"a motion whose {name} is the derivative of its {'pose' if order == 1 else 'rate'}"
             raise ConfigurationError("reference", got, f"{allowed}, there {difference[row, axis]:.4g} {unit}")
+
+
+def _check_tilts(scenario: Scenario) -> None:
+    """Refuses limits of the tilts for a ball that the robot cannot go to, at some poses of the motion."""
+    if (options := scenario.ball_control) is None:
+        return
+    motion = np.concatenate(scenario.reference.evaluate(np.linspace(0.0, scenario.duration, _TILTED)), axis=-1)
+    for key, rows in options.extremes(motion).items():
+        signals = rows[:, :6], rows[:, 6:12], rows[:, 12:]
+        report = feasibility.check_motion(
+            scenario.robot, scenario.limits, np.zeros(len(rows)), *signals, scenario.gravity_in_base
+        )
+        if (worst := report.first_violation) is not None:
+            there = f"{worst.limit} {worst.value:.4g} {worst.unit} for {worst.allowed}"
+            allowed = f"less, as the robot cannot do that on its motion: {there}; or other `limits`"
+            raise ConfigurationError(f"ball_control.{key}", getattr(options, key), allowed)
 
 
 def motion_report(scenario: Scenario) -> feasibility.FeasibilityReport:

@@ -251,7 +251,8 @@ class ControlOptions(Section):
                 where = "reference of kind stream" if self.base_compensation != "level" else "base_compensation level"
                 raise ConfigurationError("ball_control", "a section", f"null, with a {where}")
             if self.controller_model.ball is None:
-                raise ConfigurationError("model.ball", None, "a section, because ball_control is given")
+                allowed = "null, or a ball: the section `ball`, or `model.ball` for a machine"
+                raise ConfigurationError("ball_control", "a section", allowed)
             self.controller_model.ball.sensor.ticks(self.controller.period)
         if self.controller_model.robot.tool is not None:
             for place, motion in placed(self.reference, RecordedReference, "reference"):

@@ -70,7 +70,7 @@ class Controller:
         if self._safe:
             self.logged["safety"] = "safety"
         self._reading = self._running.signal(side.reading)
-        self._imu = self._running.signal("imu") if "imu" in side.outside else None
+        self._others = {name: self._running.signal(name) for name in ("imu", "ball_reading") if name in side.outside}
         self._command, self.unit = self._running.signal("safe_torque" if self._safe else side.command), side.unit
         # Commands that are no torques have their limit in the motor.
         self._limits = side.context.robot.effort_limits if side.command == side.torque else np.inf
@@ -78,7 +78,13 @@ class Controller:
         self._last, self._ticks = -np.inf, 0
 
     def step(
-        self, readings: np.ndarray, time: float, out: np.ndarray, age: float = 0.0, imu: np.ndarray | None = None
+        self,
+        readings: np.ndarray,
+        time: float,
+        out: np.ndarray,
+        age: float = 0.0,
+        imu: np.ndarray | None = None,
+        ball: np.ndarray | None = None,
     ) -> None:
         """One tick.
 
@@ -90,6 +96,7 @@ class Controller:
             age: [s] of the readings beyond that of the scenario; the safety layer's `deadline` refers to it.
             imu: (6,) rates [rad/s] and specific force [m/s^2] in the axes of `model.imu`; None, or NaN, where there is
                 no new reading. A controller whose estimator does not use it ignores it.
+            ball: (2,) [m] place of the ball on the plate, x and y in P, for `ball_control`; None or NaN likewise.
 
         Raises:
             ConfigurationError: An argument of another shape, type or range; nothing has changed then.
@@ -108,12 +115,9 @@ class Controller:
             raise ConfigurationError("time", time, f"a finite time later than that of the step before, {self._last} s")
         if not (late := _number(age)) >= 0.0:
             raise ConfigurationError("age", age, "a number that is not negative [s]")
-        inertial = None if imu is None else np.asarray(imu)
-        if inertial is not None and (inertial.shape != (6,) or inertial.dtype.kind not in "fiu"):
-            allowed = "None, or an array of shape (6,) of real numbers"
-            raise ConfigurationError("imu", f"{inertial.shape} of {inertial.dtype}", allowed)
-        if self._imu is not None:
-            self._imu[:] = np.nan if inertial is None else inertial
+        others = {"imu": _optional("imu", imu, 6), "ball_reading": _optional("ball", ball, 2)}
+        for name, signal in self._others.items():
+            signal[:] = others[name]
         self._reading[:] = given
         self._age[0] = late / self._tick
         self._running.time[0] = self._last = now
@@ -171,6 +175,17 @@ class Controller:
     def status(self) -> str:
         """Level of the safety layer: `none` where all is well, then `hold`, `ramp`, `safe_hold`, `end`."""
         return LEVELS[int(self._running.signal("safety")[0])] if self._safe else LEVELS[0]
+
+
+def _optional(name: str, value: object, size: int) -> np.ndarray | float:
+    """A reading (n,) that may be missing, which is then NaN."""
+    if value is None:
+        return np.nan
+    given = np.asarray(value)
+    if given.shape != (size,) or given.dtype.kind not in "fiu":
+        allowed = f"None, or an array of shape ({size},) of real numbers"
+        raise ConfigurationError(name, f"{given.shape} of {given.dtype}", allowed)
+    return given
 
 
 def _number(value: object) -> float:

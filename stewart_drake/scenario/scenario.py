@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
@@ -24,6 +23,7 @@ from stewart_drake.base.families import user_parts
 from stewart_drake.base.registry import MOTORS, OWN_METRICS, PLANTS, SENSORS
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.base.yaml_files import find_file, parse_changes, read_mapping
+from stewart_drake.control.ball_control import HOLDS, holds_ball
 from stewart_drake.control.base_reading import LevelReference
 from stewart_drake.hardware.ball import BallOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
@@ -36,14 +36,7 @@ from stewart_drake.plant.plant_options import DrakeOptions, PlantOptions
 from stewart_drake.references import RecordedReference
 from stewart_drake.references.motions import Reference
 from stewart_drake.robot import RobotParameters
-from stewart_drake.robot.gravity import (
-    FixedGravity,
-    GravityKey,
-    Orientation,
-    gravity_text,
-    gravity_vector,
-    turned_gravity,
-)
+from stewart_drake.robot.gravity import FixedGravity, GravityKey, Orientation, gravity_text, turned_gravity
 from stewart_drake.robot.robot_files import AnyRobot
 from stewart_drake.robot.robot_scale import PAPER
 from stewart_drake.scenario.control_options import ControlOptions, Model
@@ -221,20 +214,16 @@ class Scenario(ControlOptions):
             if self.log_period > self.duration:
                 raise ConfigurationError("log_period", self.log_period, f"at most the duration, {self.duration:g} s")
 
-
     def _check_ball(self) -> None:
         if self.ball is None:
-            if self.model.ball is not None or self.ball_control is not None:
-                key = "model.ball" if self.ball_control is None else "ball_control"
-                raise ConfigurationError(key, "a section", "null, because ball is null")
+            if self.model.ball is not None:
+                raise ConfigurationError("model.ball", "a section", "null, because ball is null")
             return
         if not self.plant.carries_ball:
             raise ConfigurationError("plant.kind", self.plant.kind, "closed_form or drake, for a ball")
         self.base.refuse_motion("a ball on the platform")
-        x, y, z = gravity_vector(self.gravity_in_base)
-        if not math.hypot(x, y) <= -z:
-            allowed = "gravity within 45 deg of -z of the base, which holds the ball on the plate"
-            raise ConfigurationError("gravity", (x, y, z), allowed)
+        if not holds_ball(self.gravity_in_base):
+            raise ConfigurationError("gravity", self.gravity, HOLDS)
         self.ball.sensor.ticks(self.controller.period)
 
 

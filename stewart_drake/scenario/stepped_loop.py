@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import cast
 
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError, RunFailure
 from stewart_drake.base.sampling import InBlocks, on_grid
 from stewart_drake.loop.part import LoopRunner
-from stewart_drake.plant.plant_options import ANGLES, BALL, CRANK_RATES, POSE, RATE, Plant
+from stewart_drake.plant.plant_options import ANGLES, BALL, CRANK_RATES, POSE, RATE, BallPlant, Plant
 from stewart_drake.scenario.assembly import Loop, loop_of
 from stewart_drake.scenario.scenario import Scenario
 
@@ -97,7 +98,7 @@ class SteppedLoop:
         if self._base is not None:
             self.plant.set_base(self._base)
         if self._ball_push is not None:
-            self.plant.push_ball(self._ball_push)
+            cast(BallPlant, self.plant).push_ball(self._ball_push)
         try:
             self.measured[:] = self.plant.step(self.torque, self._wrench)
         except RunFailure as failure:

@@ -55,7 +55,8 @@ def test_newton_and_euler():
         normal, slide = turn[:, 2], turn[:, :2] @ motion[2:4]
         force = BALL.mass * ((after - before) / h - GRAVITY) - turn[:, :2] @ push
         weight = max(0.0, -BALL.mass * GRAVITY @ normal)
-        couple = -BALL.resistance * weight * BALL.radius * np.cross(normal, slide) / np.hypot(np.linalg.norm(slide), SLOW)
+        drag = BALL.resistance * weight / np.hypot(np.linalg.norm(slide), SLOW)
+        couple = -drag * BALL.radius * np.cross(normal, slide)
         moment = -BALL.radius * np.cross(normal, force) + couple
         np.testing.assert_allclose(BALL.inertia * (spin_after - spin_before) / h, moment, atol=2e-7)
         contact = place - BALL.radius * normal
@@ -70,6 +71,7 @@ def test_a_turntable_turns_the_path_by_two_sevenths():
     motion, twist = np.array([0.05, 0.0, 0.1, -0.1, 2.0]), np.array([0.0, 0.0, omega, 0.0, 0.0, 0.0])
     paths = []
     for n in range(steps):
+
         def rate(at, time):
             return rates(ball, Rotation.from_euler("z", omega * time).as_matrix(), twist, np.zeros(6), at)[0]
 
