@@ -13,7 +13,7 @@ from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.config import did_you_mean
 from stewart_drake.base.errors import ConfigurationError, RunFailure, SafetyStop, StewartDrakeError
 from stewart_drake.base.sampling import steps_per
-from stewart_drake.hardware.ball import BALL_FELL
+from stewart_drake.mechanics.ball import BALL_FELL
 from stewart_drake.mechanics.kinematics import inverse_kinematics, rotation_angle, rotation_matrix
 from stewart_drake.safety import MONITORS, RAMP, first_standstill, standstill_text
 from stewart_drake.scenario.limits import LimitMargin, longest_excursion

@@ -24,9 +24,9 @@ from stewart_drake.robot import Gravity, RobotParameters
 if TYPE_CHECKING:
     from stewart_drake.control.friction_compensation import FrictionCompensation
     from stewart_drake.control.tuners import Tuner
-    from stewart_drake.hardware.ball import KnownBall
     from stewart_drake.hardware.imu import ImuOptions
     from stewart_drake.hardware.motors import MotorOptions
+    from stewart_drake.mechanics.ball import KnownBall
 
 _Signal = TypeVar("_Signal")
 Kernel = Callable[..., TickResult | None]

@@ -6,7 +6,7 @@ end. `rk4` is the classical Runge-Kutta method of order 4 on the same equations.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from stewart_drake.base.records import (
 )
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.mechanics import kinematics_laws as laws
+from stewart_drake.mechanics.ball import BallOptions
 from stewart_drake.mechanics.dynamics_laws import loads, task_inertia
 from stewart_drake.mechanics.friction import SWEEPS, Bristles, Friction, implicit_torque, update_bristles
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry, pose_rate_to_twist
@@ -37,9 +38,6 @@ from stewart_drake.mechanics.rolling_ball import Ball, ball_rate, ball_terms
 from stewart_drake.plant.model_files import HomeFrames, home_frames
 from stewart_drake.plant.plant_options import BALL, MechanismOptions, foreign_state
 from stewart_drake.robot import Gravity, RobotParameters, base_reading
-
-if TYPE_CHECKING:
-    from stewart_drake.hardware.ball import BallOptions
 
 SUBSTEPS = 8
 """Number of substeps of `rk4` in a step in which a motor with dry friction reverses or sticks."""

@@ -48,7 +48,9 @@ from pydrake.systems.framework import (
 from stewart_drake.base.arguments import checked
 from stewart_drake.base.errors import ConfigurationError, drake_guard
 from stewart_drake.base.sampling import decimal, on_grid
+from stewart_drake.mechanics.ball import BallOptions
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.plant.drake_ball import BallBody
 from stewart_drake.plant.model_files import home_frames, sdf_text
 from stewart_drake.plant.plant_options import DrakeOptions, platform_damping_limit
 from stewart_drake.plant.servo_friction import FrictionSystems, add_servos, wire_friction
@@ -72,9 +74,11 @@ class StewartRobot(StateMap):
             or a vector.
         base: X_WB, pose of its base in the world.
         scene_graph: The SceneGraph that `add_plant` made, or None.
+        ball: The ball on it, or None.
     """
 
     scene_graph: SceneGraph | None = None
+    ball: BallBody | None = None
     where_from = "add_robot and add_plant return one"
 
     def __init__(
@@ -120,6 +124,38 @@ class StewartRobot(StateMap):
         self._finished()
         return np.append(self.plant.GetDefaultPositions(), np.zeros(self.plant.num_velocities()))
 
+    @cached_property
+    def _mine(self) -> np.ndarray:
+        """Indices of the robot and its ball."""
+        mine = self.indices.all()
+        return mine if self.ball is None else np.append(mine, self._ball_index)
+
+    @cached_property
+    def _ball_index(self) -> np.ndarray:
+        return cast(BallBody, self.ball).indices(self.plant.num_positions())
+
+    def assemble(self, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> np.ndarray:
+        """As `StateMap.assemble`; a ball is where it starts."""
+        state = super().assemble(pose, pose_rate)
+        if self.ball is not None:
+            state[..., self._ball_index] = self.ball.at_start(np.asarray(pose, float), state[..., self.indices.twist])
+        return state
+
+    def measure(self, state: np.ndarray) -> np.ndarray:
+        """As `StateMap.measure`, (..., 29) with a ball."""
+        measured = super().measure(state)
+        return measured if self.ball is None else np.append(measured, self.ball_motion(state), axis=-1)
+
+    def ball_motion(self, state: np.ndarray) -> np.ndarray:
+        """x, y [m] of the ball on the plate, their rates, and its spin (..., 5) of states, see `plant_options.BALL`."""
+        pose, twist = self.pose_and_rate(state)[0], state[..., self.indices.twist]
+        return cast(BallBody, self.ball).measure(state[..., self._ball_index], pose, twist)
+
+    def push_ball(self, state: np.ndarray, force: np.ndarray) -> list[ExternallyAppliedSpatialForce]:
+        """A force (2,) [N] on the ball along the plate's axes, and its rolling resistance, in a state."""
+        ball = cast(BallBody, self.ball)
+        return ball.forces(self.ball_motion(state), self.pose_and_rate(state)[0], force)
+
     @property
     def torque_input_port(self) -> InputPort:
         """(6,) [N m] motor torques, clipped to the effort limit; zero if not connected, except with stiction."""
@@ -164,7 +200,7 @@ class StewartRobot(StateMap):
         its default positions, and neither `set_state` nor `put` was called. If only the platform has been moved, by a
         random distribution of its joint, the loops are closed there.
         """
-        plant, mine, start = self.plant, self.indices.all(), self.assemble(pose, pose_rate)
+        plant, mine, start = self.plant, self._mine, self.assemble(pose, pose_rate)
         positions, moved = plant.GetDefaultPositions(), mine[mine < plant.num_positions()]
         positions[moved] = start[moved]
         with drake_guard("setting the default state"):
@@ -206,7 +242,7 @@ class StewartRobot(StateMap):
 
         The rest of the plant is not changed.
         """
-        assembled, mine = self.assemble(pose, pose_rate), self.indices.all()
+        assembled, mine = self.assemble(pose, pose_rate), self._mine
         with drake_guard("setting the plant's state"):
             state = self.plant.GetPositionsAndVelocities(self.plant.GetMyContextFromRoot(context))
         state[mine] = assembled[mine]
@@ -323,6 +359,7 @@ def add_plant(
     visuals: bool = False,
     before_finalize: Callable[[StewartRobot], None] | None = None,
     name: str = "plant",
+    ball: BallOptions | None = None,
 ) -> StewartRobot:
     """Adds a finished plant with the robot to a Diagram under construction: `add_robot`, its friction, a SceneGraph.
 
@@ -336,6 +373,7 @@ def add_plant(
         visuals: Register the geometry with a SceneGraph even where nothing collides, for visualisers and cameras.
         before_finalize: Adds further bodies to the `plant` of the robot that it is called with.
         name: Of the plant in the Diagram.
+        ball: A ball on the platform.
 
     Raises:
         ConfigurationError: Gravity, or a name, that the plant cannot have; see `add_robot`.
@@ -353,13 +391,16 @@ def add_plant(
         plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
         plant.set_contact_model(ContactModel.kPoint)
         scene_graph: SceneGraph | None = None
-        if visuals or options.collision:
+        if visuals or options.collision or ball is not None:
             _, scene_graph = AddMultibodyPlantSceneGraph(builder, plant)
         else:
             builder.AddSystem(plant)
         plant.mutable_gravity_field().set_gravity_vector(gravity_vector(gravity))
     added = add_robot(plant, robot, options)
     added.scene_graph = scene_graph
+    if ball is not None:
+        with drake_guard("adding the ball"):
+            added.ball = BallBody(added, ball)
     if before_finalize is not None:
         before_finalize(added)
     with drake_guard("building the plant"):
@@ -374,10 +415,11 @@ def build_plant(
     gravity: Gravity = STANDARD_GRAVITY,
     *,
     visuals: bool = False,
+    ball: BallOptions | None = None,
 ) -> tuple[Diagram, StewartRobot]:
     """A Diagram with only `add_plant`, whose ports are exported as `torque` and `state`."""
     builder = DiagramBuilder()
-    stewart = add_plant(builder, robot, options, gravity, visuals=visuals)
+    stewart = add_plant(builder, robot, options, gravity, visuals=visuals, ball=ball)
     with drake_guard("building the plant"):
         builder.ExportInput(stewart.torque_input_port, "torque")
         builder.ExportOutput(stewart.state_output_port, "state")

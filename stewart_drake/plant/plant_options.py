@@ -16,6 +16,7 @@ from stewart_drake.base.config import Flag, InOtherKinds, LegNumber, NotNegative
 from stewart_drake.base.errors import ConfigurationError, NotFiniteError
 from stewart_drake.base.families import UserMade, imported
 from stewart_drake.mechanics import kinematics_laws as laws
+from stewart_drake.mechanics.ball import BallOptions
 from stewart_drake.mechanics.friction import Friction, FrictionOptions, bristle_stiffness
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry
 from stewart_drake.robot import Gravity, RobotParameters
@@ -170,6 +171,7 @@ class DrakeOptions(MechanismOptions):
     """Drake's MultibodyPlant: 14 bodies, loops closed by constraints; it runs in a Diagram."""
 
     in_diagram: ClassVar[bool] = True
+    carries_ball: ClassVar[bool] = True
 
     kind: Literal["drake"] = "drake"
     rod_joint: RodJoint = "universal"
@@ -191,9 +193,9 @@ class DrakeOptions(MechanismOptions):
         steps = math.inf if self.broken_rod is None else self.broken_rod.time / self.time_step
         return math.ceil(steps - 1e-6) if math.isfinite(steps) else None
 
-    def make(self, robot: RobotParameters, gravity: Gravity) -> Plant:
+    def make(self, robot: RobotParameters, gravity: Gravity, ball: BallOptions | None = None) -> Plant:
         # Imported here: it imports these options, and Drake, which takes seconds.
-        plant: Plant = imported("plant.stepped_plant:SteppedPlant")(robot, self, gravity)
+        plant: Plant = imported("plant.stepped_plant:SteppedPlant")(robot, self, gravity, ball)
         return plant
 
 

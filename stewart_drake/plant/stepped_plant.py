@@ -7,6 +7,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, FixedInputPortValue
 
 from stewart_drake.base.errors import drake_guard
+from stewart_drake.mechanics.ball import BallOptions
 from stewart_drake.plant.base_forces import base_forces
 from stewart_drake.plant.multibody_plant import build_plant
 from stewart_drake.plant.plant_options import DrakeOptions, foreign_state
@@ -16,8 +17,11 @@ from stewart_drake.robot import Gravity, RobotParameters
 class SteppedPlant:
     """The `MultibodyPlant` as a `Plant`."""
 
-    def __init__(self, robot: RobotParameters, options: DrakeOptions, gravity: Gravity) -> None:
-        self._diagram, self._stewart = build_plant(robot, options, gravity)
+    def __init__(
+        self, robot: RobotParameters, options: DrakeOptions, gravity: Gravity, ball: BallOptions | None = None
+    ) -> None:
+        self._diagram, self._stewart = build_plant(robot, options, gravity, ball=ball)
+        self._ball_force: np.ndarray | None = None if ball is None else np.zeros(2)
         plant = self._stewart.plant
         self._force_port, self._period = plant.get_applied_spatial_force_input_port(), plant.time_step()
         self._begin()
@@ -31,7 +35,7 @@ class SteppedPlant:
     def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         with drake_guard("a step of the plant"):
             self._torque.GetMutableData().get_mutable_value().SetFromVector(torque)
-            if (wrench != self._wrench).any():
+            if self._ball_force is not None or (wrench != self._wrench).any():
                 self._push(wrench)
             self._steps += 1
             self._simulator.AdvanceTo(self._steps * self._period)
@@ -40,6 +44,9 @@ class SteppedPlant:
     def set_base(self, base: np.ndarray) -> None:
         forces = base_forces(self._stewart, self._plant_context, base)
         self._force_port.FixValue(self._plant_context, [self._stewart.push(self._wrench), *forces])
+
+    def push_ball(self, force: np.ndarray) -> None:
+        self._ball_force = force.copy()
 
     def save(self) -> tuple[int, list[np.ndarray]]:
         """Steps done, and the discrete state of the Diagram: of the plant, and of its friction if it has any."""
@@ -69,8 +76,11 @@ class SteppedPlant:
         self._push(np.zeros(6))
 
     def _push(self, wrench: np.ndarray) -> None:
-        self._wrench = wrench.copy()
-        self._force_port.FixValue(self._plant_context, [self._stewart.push(wrench)])
+        self._wrench, forces = wrench.copy(), [self._stewart.push(wrench)]
+        if self._ball_force is not None:
+            state = self._stewart.plant.GetPositionsAndVelocities(self._plant_context)
+            forces += self._stewart.push_ball(state, self._ball_force)
+        self._force_port.FixValue(self._plant_context, forces)
 
     def _measure(self) -> np.ndarray:
         return self._stewart.measure(self._stewart.plant.GetPositionsAndVelocities(self._plant_context))

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stewart_drake.hardware.ball_sensor import ball_parts
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.imu import imu_parts
 from stewart_drake.hardware.motors import delay_part
@@ -95,7 +96,8 @@ def sensor_parts(scenario: Scenario) -> list[Part]:
     inertial = (
         [] if imu is None else imu_parts(imu, scenario.gravity_in_base, *periods, np.concatenate(scenario.start()))
     )
-    of_ball = [] if scenario.ball is None else scenario.ball.parts(scenario.controller.period, scenario.plant.time_step)
+    step = scenario.plant.time_step
+    of_ball = [] if scenario.ball is None else ball_parts(scenario.ball, scenario.controller.period, step)
     return [*_reading_parts(scenario), *inertial, *of_ball]
 
 

@@ -33,10 +33,10 @@ from stewart_drake.control.estimator import DifferenceOptions, EstimatorOptions
 from stewart_drake.control.friction_compensation import FrictionCompensation
 from stewart_drake.control.lqi import LqiOptions
 from stewart_drake.control.tuners import PaperTuner, Tuner
-from stewart_drake.hardware.ball import KnownBall
 from stewart_drake.hardware.imu import ImuOptions
 from stewart_drake.hardware.motors import MotorOptions, TorqueMotors
 from stewart_drake.hardware.wiring import ServoOptions
+from stewart_drake.mechanics.ball import KnownBall
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.references import AnyReference, RecordedReference, SineReference
 from stewart_drake.robot import RobotParameters

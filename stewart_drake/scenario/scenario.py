@@ -25,11 +25,11 @@ from stewart_drake.base.sampling import steps_per
 from stewart_drake.base.yaml_files import find_file, parse_changes, read_mapping
 from stewart_drake.control.ball_control import HOLDS, holds_ball
 from stewart_drake.control.base_reading import LevelReference
-from stewart_drake.hardware.ball import BallOptions
 from stewart_drake.hardware.disturbances import AnyDisturbance
 from stewart_drake.hardware.motors import LinkOptions, MotorOptions, TorqueMotors
 from stewart_drake.hardware.moving_base import BaseOptions, base_signal
 from stewart_drake.hardware.sensors import IdealSensors, SensorOptions
+from stewart_drake.mechanics.ball import BallOptions
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.friction import FrictionOptions
 from stewart_drake.plant.plant_options import DrakeOptions, PlantOptions

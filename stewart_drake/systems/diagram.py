@@ -20,12 +20,14 @@ from pydrake.systems.primitives import (
 )
 
 from stewart_drake.base.arguments import checked
+from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import ConfigurationError, drake_guard
 from stewart_drake.base.keys import join_or
 from stewart_drake.base.sampling import InBlocks, on_grid, steps_per
 from stewart_drake.hardware.motors import limit_torque
 from stewart_drake.loop.part import Part
 from stewart_drake.plant.base_forces import BaseForces
+from stewart_drake.plant.drake_ball import BallForces
 from stewart_drake.plant.multibody_plant import StewartRobot, add_plant
 from stewart_drake.plant.plant_options import DrakeOptions
 from stewart_drake.plant.servo_friction import connect_besides
@@ -87,7 +89,8 @@ class ClosedLoop(Diagram):
             raise ConfigurationError("plant.kind", scenario.plant.kind, "drake, for a Diagram")
         builder, shown = DiagramBuilder(), visuals or meshcat is not None
         truth = scenario.robot, scenario.plant, scenario.gravity_in_base
-        self.plant: StewartRobot = add_plant(builder, *truth, visuals=shown, before_finalize=before_finalize)
+        more: Document = {"visuals": shown, "before_finalize": before_finalize, "ball": scenario.ball}
+        self.plant: StewartRobot = add_plant(builder, *truth, **more)
         added = add_loop(builder, scenario, self.plant, inputs=inputs, outputs=outputs)
         self.scenario, self.loop, self.systems = scenario, added.loop, added.systems
         for name, entrance in added.inputs.items():
@@ -188,6 +191,8 @@ class LoopSystems:
             expected, given = scenario.robot.to_dict(), robot.robot.to_dict()
             others = ", ".join(key for key in expected if expected[key] != given[key])
             raise ConfigurationError("scenario.robot", f"another {others}", "the robot of the plant")
+        if scenario.ball != (None if robot.ball is None else robot.ball.options):
+            raise ConfigurationError("scenario.ball", scenario.ball, "that of the robot: add_plant(..., ball=...)")
         if scenario.plant != robot.options or not same_gravity(scenario.gravity_in_base, robot.gravity):
             turned = {"base.orientation": (0.0, 0.0, 0.0)} if any(scenario.base.orientation) else {}
             scenario = scenario.replace({"plant": robot.options, "gravity": robot.gravity, **turned})
@@ -209,6 +214,8 @@ class LoopSystems:
         sensor = self._add("sensor", TaskSpaceSensor(robot))
         builder.Connect(robot.state_output_port, sensor.plant_state)
         self._signals: dict[str, OutputPort] = {"plant_pose": sensor.measurement, "crank_state": sensor.crank_state}
+        if robot.ball is not None:
+            self._signals["ball"] = sensor.ball
         for source in self.loop.sources:
             self._add_source(source)
         for part in self.loop.parts:
@@ -219,6 +226,11 @@ class LoopSystems:
             push = self._add("push", PlatformWrench(robot))
             builder.Connect(self._signals["wrench"], push.wrench)
             self._apply(robot, push.spatial_force)
+        if "ball_push" in self._signals:
+            rolling = self._add("ball_forces", BallForces(robot))
+            builder.Connect(robot.state_output_port, rolling.plant_state)
+            builder.Connect(self._signals["ball_push"], rolling.ball_push)
+            self._apply(robot, rolling.spatial_force)
         if "base" in self._signals:
             moved = self._add("base_forces", BaseForces(robot))
             builder.Connect(robot.state_output_port, moved.plant_state)

@@ -394,6 +394,7 @@ class TaskSpaceSensor(LeafSystem):
         plant_state: in (nq + nv,), state of the MultibodyPlant.
         measurement: out (12,), pose [rad, m] then pose rate [rad/s, m/s] (Euler rates).
         crank_state: out (12,), angles of the cranks [rad] from the horizontal, not wrapped, then their rates [rad/s].
+        ball: out (5,), motion of the ball on the plate, see `plant_options.BALL`; only for a robot with a ball.
     """
 
     @checked
@@ -404,12 +405,17 @@ class TaskSpaceSensor(LeafSystem):
         needs = {self.input_port_ticket(self.plant_state.get_index())}
         self.measurement = self.DeclareVectorOutputPort("measurement", 12, self._pose, prerequisites_of_calc=needs)
         self.crank_state = self.DeclareVectorOutputPort("crank_state", 12, self._cranks, prerequisites_of_calc=needs)
+        if robot.ball is not None:
+            self.ball = self.DeclareVectorOutputPort("ball", 5, self._ball, prerequisites_of_calc=needs)
 
     def _pose(self, context: Context, output: BasicVector) -> None:
         self._plant.read_pose(self.plant_state.Eval(context), output.get_mutable_value())
 
     def _cranks(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._plant.crank_state(self.plant_state.Eval(context)))
+
+    def _ball(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._plant.ball_motion(self.plant_state.Eval(context)))
 
 
 class PlatformWrench(LeafSystem):

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from stewart_drake.hardware.ball import BallOptions
+from stewart_drake.mechanics.ball import BallOptions
 from stewart_drake.mechanics.dynamics_laws import task_inertia
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.mechanics.kinematics_laws import Legs, legs_at, robot_record, twist_of

@@ -1,4 +1,4 @@
-"""A ball on the platform: what it is, where it starts, who throws it, and the sensor that sees it.
+"""A ball on the platform: what it is, where it starts, who throws it, and how its sensor sees it.
 
 A plate is fixed to the platform, across the z axis of P. Places on it are x, y [m] in P.
 """
@@ -13,20 +13,16 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from stewart_drake.base.config import Flag, NotNegative, Period, Positive, Section, Seed, Share, Text
-from stewart_drake.base.errors import ConfigurationError, Status
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.families import Table
-from stewart_drake.base.records import Record, Vec2
 from stewart_drake.base.sampling import steps_per
-from stewart_drake.hardware.faults import tick_numbers
-from stewart_drake.hardware.motors import delay_part
-from stewart_drake.loop.part import Part
 from stewart_drake.mechanics.rolling_ball import Ball
 from stewart_drake.robot.leg import LARGEST_SIZE, Coordinate
 from stewart_drake.robot.robot_scale import LENGTH
 
 Pair = tuple[Coordinate, Coordinate]
-_STREAM = 8  # Number of the stream of random numbers, see `faults.tick_numbers`.
-_FELL, _ENDLESS = 1, 2  # Statuses of the sensor.
+BALL_FELL = "ball_fell"
+"""Reason of a run that ended when the ball left the plate."""
 
 # Steel of 7850 kg/m^3; ITTF, The Laws of Table Tennis, 2.3: 40 mm, 2.7 g.
 BALLS: dict[str, dict[str, float]] = {
@@ -134,6 +130,7 @@ class BallOptions(KnownBall, key="ball"):
     """Blows that it gets."""
 
     def rules(self) -> None:
+        """It starts on the plate."""
         if math.hypot(*self.start) >= self.plate.radius:
             allowed = f"a place on the plate, less than {self.plate.radius:g} m from its centre"
             raise ConfigurationError("start", self.start, allowed)
@@ -160,56 +157,9 @@ class BallOptions(KnownBall, key="ball"):
             forces[np.rint(times / step) == math.ceil(throw.time / step - 1e-6)] += self.force(throw.velocity, step)
         return forces
 
-    def parts(self, period: float, step: float) -> list[Part]:
-        """Parts from the plant's `ball` (5,) to `ball_reading` (2,), for ticks of a period [s] and steps [s].
-
-        A reading is NaN where there is no new one.
-        """
-        late = round(self.sensor.delay / step)
-        first = np.array([*self.start, *self.velocity, 0.0])
-        constants = {"options": self, "every": self.sensor.ticks(period)}
-        inputs, state = {"ball": 5, "ball_seen": 5}, BallReading.new()
-        part = Part("ball_sensor", _sense, constants, inputs, ("ball_reading",), state, statuses=_STATUSES)
-        if not late:
-            return [part.connected(ball_seen="ball")]
-        delay = delay_part(late, first, "ball_delay")._replace(period=step).connected(value="ball")
-        return [delay.named(value="ball_seen"), part]
-
 
 def _preset(section: type[Section], presets: Mapping[str, Mapping[str, float]], data: object) -> object:
     """The keys of a section, and those of its preset that it has."""
     if not isinstance(data, dict) or not isinstance(name := data.get("preset"), str):
         return data
     return {key: value for key, value in presets.get(name, {}).items() if key in section.__pydantic_fields__} | data
-
-
-class BallReading(Record):
-    """State of the sensor."""
-
-    ball_reading: Vec2  # [m] NaN where there is no new reading.
-    ticks: float  # Done.
-
-
-def _sense(
-    options: BallOptions, every: int, ball: np.ndarray, ball_seen: np.ndarray, state: BallReading
-) -> tuple[int, int, float]:
-    now, ticks = state["ball_reading"][0], int(state["ticks"][0])
-    away = math.hypot(ball[0], ball[1])
-    if not away <= options.plate.radius:
-        return (_FELL if math.isfinite(away) else _ENDLESS), -1, away
-    now[:] = np.nan
-    if ticks % every == 0:
-        normal = tick_numbers(options.sensor.noise_seed, _STREAM, ticks // every, 2, normal=True)
-        now[:] = ball_seen[:2] + options.sensor.noise * normal
-    state["ticks"] += 1.0
-    return 0, -1, 0.0
-
-
-BALL_FELL = "ball_fell"
-"""Reason of a run that ended when the ball left the plate."""
-_STATUSES = {
-    _FELL: Status(
-        BALL_FELL, text="the ball fell off the plate, whose rim is {options.plate.radius:g} m from its centre"
-    ),
-    _ENDLESS: Status("not_finite", "ball", text="the ball's motion"),
-}
