@@ -24,10 +24,15 @@ from stewart_drake.scenario.controller import Controller, controller_parts
 REASONS = ", ".join(f'"{reason}"' for reason in FAILURES)
 REPLAYED = 1.0  # [s] of readings in `replay.csv`, at most.
 SWING = 1e-4  # [rad, m] by which those readings are off the reference, so that there is something to control.
-_INERTIAL = """
-    for (int k = 0; k < 6; k++) {{
-        loop->imu[k] = reading[{} + k];
+_COPIED = """
+    for (int k = 0; k < {size}; k++) {{
+        loop->{signal}[k] = {source}[{first} + k];
     }}"""
+_FURTHER = {
+    "imu": ("imu", 6, "six of the inertial sensor [rad/s, m/s^2]"),
+    "ball_reading": ("ball", 2, "the ball's place on the plate [m]"),
+}
+"""Readings that follow those of the angles: argument of `Controller.step`, size, and what they are."""
 MOST_ROWS = 100_000  # Largest number of rows in the table of a reference.
 
 
@@ -53,27 +58,25 @@ def controller_files(options: ControlOptions, name: str, prefix: str = "") -> di
         raise ConfigurationError(options.controller.code_key, options.controller.code, allowed)
     prefix, side, age = prefix or c_name(name), control_side(options, split=True, streams=True), np.zeros(1)
     parts = controller_parts(options, side, age)
-    inertial = "imu" in side.outside
-    reading_size = side.context.reading + 6 * inertial
+    further = [name for name in _FURTHER if name in side.outside]
+    reading_size = side.context.reading + sum(side.outside[name] for name in further)
     loop = LoopSource(parts, {"time": 1, **side.outside}, {}, side.context.period, options.reading_period, {"age": age})
     command = "safe_torque" if side.safety is not None else side.command
     limit = side.context.robot.effort_limits if side.command == side.torque else np.full(6, np.inf)
     for helper in ("minimum", "maximum"):
         loop.program.helper(helper)
     ticks = min(round(getattr(options, "duration", 10.0) / options.reading_period) + 1, MOST_ROWS)
-    size = side.sources[0].size
-    given = "".join(
-        f"    for (int k = 0; k < {size}; k++) {{\n"
-        f"        loop->{source.signal}[k] = reference[{size * n} + k];\n    }}\n"
-        for n, source in enumerate(side.sources)
-    )
+    size, all_size = side.sources[0].size, sum(source.size for source in side.sources)
+    given = _copied({source.signal: source.size for source in side.sources}, "reference", 0)
     reads_angles, period = side.context.reading == 6, options.reading_period
     words = {"NAME": prefix, "UPPER": prefix.upper(), "SCENARIO": name, "VERSION": __version__, "REASONS": REASONS}
     words |= {"PERIOD": number(period).text, "GRID": number(on_grid(period)).text, "UNIT": side.unit}
     words |= {"TICK": number(side.context.period).text, "READING": str(reading_size), "READS": side.reading}
-    words |= {"REFERENCE": str(size * len(side.sources)), "NUMBERS": str(loop.numbers), "GIVEN": given.rstrip()}
+    words |= {"REFERENCE": str(all_size), "NUMBERS": str(loop.numbers), "GIVEN": given.lstrip("\n")}
     later = {"reference_ahead": f" ({options.preview:g} s later)"}
-    motions = ", then of ".join(f"`{of.signal}`{later.get(of.signal, '')}" for of in side.sources)
+    motions = ", then of ".join(f"`{of.signal}`{later.get(of.signal, '')}" for of in side.sources if of.size == size)
+    if size != side.sources[-1].size:
+        motions += ", then ten of the ball's target: x and y of its place [m] and of four derivatives"
     words["SAMPLE"] = f"18 of {motions}" if size == 18 else "a target pose"
     words["MEANING"] = f"pose [rad, m], rate and acceleration, six numbers each, of {motions}"
     if size == 6:
@@ -83,16 +86,26 @@ def controller_files(options: ControlOptions, name: str, prefix: str = "") -> di
     words |= _machine_words(options, reads_angles)
     words["MEANS"] = "angles of the cranks [rad]" if reads_angles else "pose [rad, m] and its rate"
     words |= {"BOUND": f"{prefix.upper()}_READING", "INERTIAL": ""}
-    if inertial:
-        words["MEANS"] += ", then six of the inertial sensor [rad/s, m/s^2], NaN where not new"
-        words |= {"BOUND": str(side.context.reading), "INERTIAL": _INERTIAL.format(side.context.reading)}
+    if further:
+        words["MEANS"] += "".join(f", then {_FURTHER[name][2]}, NaN where not new" for name in further)
+        copied = _copied({name: _FURTHER[name][1] for name in further}, "reading", side.context.reading)
+        words |= {"BOUND": str(side.context.reading), "INERTIAL": copied}
     words |= {"LIMIT": loop.program.table("command_limit", limit).base, "COMMAND": loop.signals[command].pointer}
     words |= {"PARTS": ", ".join(f'"{part.name}"' for part in parts), "LOOP": loop.text().rstrip()}
     words |= {"TABLE": _reference(side, period, ticks)}
     wanted = {"controller.h": f"{prefix}.h", "controller.c": f"{prefix}.c", "reference.c": f"{prefix}_reference.c"}
-    wanted |= {name: name for name in ("main.c", "Makefile", *(["board.c"] if reads_angles and not inertial else []))}
+    wanted |= {name: name for name in ("main.c", "Makefile", *(["board.c"] if reads_angles and not further else []))}
     files = {file: from_template(template, words) for template, file in wanted.items()}
     return {**files, "replay.csv": _replay(options, side)}
+
+
+def _copied(signals: Mapping[str, int], source: str, first: int) -> str:
+    """Loops that copy numbers of an array, from the first on, to signals by name, with their sizes."""
+    text = ""
+    for signal, size in signals.items():
+        text += _COPIED.format(signal=signal, size=size, source=source, first=first)
+        first += size
+    return text
 
 
 def _machine_words(options: ControlOptions, reads_angles: bool) -> dict[str, str]:
@@ -139,6 +152,8 @@ def readings_along(options: ControlOptions, side: ControlSide, ticks: int) -> np
         axes = rotation_matrix(motion[:, :3]) @ imu.mounting
         turning = pose_rate_to_twist(motion[:, :6], motion[:, 6:])[:, None, :3] @ axes
         rows = np.concatenate([rows, turning[:, 0], side.context.gravity * axes[:, 2]], axis=1)
+    if "ball_reading" in side.outside:
+        rows = np.concatenate([rows, np.zeros((ticks, 2))], axis=1)
     swing: np.ndarray = rows + SWING * np.sin(7.0 * times[:, None] + np.arange(rows.shape[1]))
     return swing
 
@@ -149,11 +164,13 @@ def _replay(options: ControlOptions, side: ControlSide) -> str:
     controller, out = Controller(options, targets), np.empty(6)
     ticks = round(min(getattr(options, "duration", REPLAYED), REPLAYED) / options.reading_period) + 1
     names = [source.signal for source in side.sources]
+    further = {argument: size for name, (argument, size, _) in _FURTHER.items() if name in side.outside}
     rows = []
     for k, reading in enumerate(readings_along(options, side, ticks)):
         try:
-            read, imu = np.split(reading, [controller.reading])
-            controller.step(read, k * on_grid(options.reading_period), out, imu=imu if imu.size else None)
+            read, *others = np.split(reading, np.cumsum([controller.reading, *further.values()])[:-1])
+            more = dict(zip(further, others, strict=True))
+            controller.step(read, k * on_grid(options.reading_period), out, **more)
         except RunFailure:
             break
         wanted = [controller.signal(name) for name in names]

@@ -73,6 +73,8 @@ def controller_unit(options: ControlOptions, name: str, fmi: Fmi = 3) -> bytes:
 def robot_unit(scenario: Scenario, name: str, fmi: Fmi = 3) -> bytes:
     """The robot with its motors as an FMU: inputs `command`, `wrench`, output `measured`."""
     scenario.base.refuse_motion("the FMU of a robot")
+    if scenario.ball is not None:
+        raise ConfigurationError("ball", "a section", "null, for the FMU of a robot")
     prefix, plant = f"{c_name(name)}_robot", ClosedForm(scenario.robot, scenario.plant, scenario.gravity_in_base)  # type: ignore[arg-type]
     command = scenario.motors.initial_command(context_of(scenario, split=True))
     inputs, outputs = {"command": command, "wrench": np.zeros(6)}, {"measured": plant.initial(*scenario.start())}

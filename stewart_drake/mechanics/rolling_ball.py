@@ -83,10 +83,13 @@ def ball_terms(ball: Ball, turn: Mat3, twist: Vec6, base: Vec9, motion: Vec5, pu
             out[i, k] = -ball.mass * place[i] * place[k] - inertia * normal[i] * normal[k] + (square if i == k else 0.0)
             out[i, 3 + k] = out[3 + i, k] = 0.0
             out[3 + i, 3 + k] = ball.mass if i == k else 0.0
-    for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        out[j, 3 + k] = out[3 + k, j] = -ball.mass * place[i]
-        out[k, 3 + j] = out[3 + j, k] = ball.mass * place[i]
+    x, y, z = ball.mass * place[0], ball.mass * place[1], ball.mass * place[2]
+    out[0, 4] = out[4, 0] = -z
+    out[0, 5] = out[5, 0] = y
+    out[1, 3] = out[3, 1] = z
+    out[1, 5] = out[5, 1] = -x
+    out[2, 3] = out[3, 2] = -y
+    out[2, 4] = out[4, 2] = x
     total = ball.mass + inertia / (r * r)
     for number in range(2):
         for i in range(3):

@@ -34,7 +34,7 @@ from stewart_drake.mechanics.friction import SWEEPS, Bristles, Friction, implici
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry, pose_rate_to_twist
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import any_nonzero, copy_to, solve
-from stewart_drake.mechanics.rolling_ball import Ball, ball_rate, ball_terms
+from stewart_drake.mechanics.rolling_ball import Ball, BallTerms, ball_rate, ball_terms
 from stewart_drake.plant.model_files import HomeFrames, home_frames
 from stewart_drake.plant.plant_options import BALL, MechanismOptions, foreign_state
 from stewart_drake.robot import Gravity, RobotParameters, base_reading
@@ -140,7 +140,8 @@ def _accelerations(
     legs: Legs,
     twist: Vec6,
     base: Vec9,
-    terms: Matrix,
+    rolls: bool,
+    terms: BallTerms,
     torque: Vec6,
     wrench: Vec6,
     jacobian: Mat6,
@@ -148,16 +149,17 @@ def _accelerations(
 ) -> None:
     """Acceleration under torques and a wrench in the last column of `out` (6, 1 or 7), with M^-1 J' before it if 7.
 
-    `terms` (8, 7) are the `ball_terms`, (0, 7) without a ball.
+    `terms` are those of a ball that `rolls`.
     """
     inertia, load, crank_torque, still, last = np.empty((6, 6)), np.empty(6), np.empty(6), np.zeros(6), out.shape[1] - 1
     task_inertia(robot, legs, inertia)
     loads(robot, legs, twist, still, base, load, crank_torque)
     laws.crank_jacobian(legs, jacobian)
-    for k in range(6 if len(terms) else 0):
-        load[k] += terms[k, 6]
-        for i in range(6):
-            inertia[k, i] += terms[k, i]
+    if rolls:
+        for k in range(6):
+            load[k] += terms[k, 6]
+            for i in range(6):
+                inertia[k, i] += terms[k, i]
     for k in range(6):
         out[k, last] = wrench[k] - load[k]
     for i in range(6):
@@ -242,10 +244,10 @@ def _semi_implicit(
     bad = laws.legs_at(robot, state.pose[:], legs)
     if bad >= 0:
         return laws.SERIAL, bad, legs.reach_margin[bad]
-    terms, rate = np.empty((8 if params.ball.mass > 0.0 else 0, 7)), np.empty(5)
-    if len(terms):
+    rolls, terms, rate = params.ball.mass > 0.0, np.empty((8, 7)), np.empty(5)
+    if rolls:
         ball_terms(params.ball, legs.rotation[:], state.twist[:], params.base[:], state.ball[:], params.push[:], terms)
-    _accelerations(robot, legs, state.twist[:], params.base[:], terms, torque, wrench, jacobian, accelerations)
+    _accelerations(robot, legs, state.twist[:], params.base[:], rolls, terms, torque, wrench, jacobian, accelerations)
     for k in range(6):
         twist[k] = state.twist[k] + step * accelerations[k, 6]
     if any_nonzero(friction.break_away[:]) or any_nonzero(friction.viscous[:]):
@@ -255,17 +257,17 @@ def _semi_implicit(
                 twist[k] += step * accelerations[k, i] * friction_torque[i]
     for k in range(6):
         move[k] = step * twist[k]
-    if len(terms):
+    if rolls:
         for k in range(6):
             change[k] = (twist[k] - state.twist[k]) / step
         ball_rate(params.ball, legs.rotation[:], state.twist[:], change, terms, state.ball[:], rate)
     _moved_pose(legs.rotation[:], state.pose[3:], move[:3], move[3:], pose)
     bad = _end_step(robot, friction, legs, step, pose, twist, state)
-    if len(terms) and bad < 0:
-        for k in range(4, 1, -1):
-            state.ball[k] += step * rate[k]
+    if rolls and bad < 0:
         for k in range(2):
+            state.ball[2 + k] += step * rate[2 + k]
             state.ball[k] += step * state.ball[2 + k]
+        state.ball[4] += step * rate[4]
     return laws.SERIAL if bad >= 0 else laws.OK, bad, legs.reach_margin[max(bad, 0)]
 
 
@@ -320,9 +322,9 @@ def _rk4_step(
     robot, friction, params, legs, state = record(robot), record(friction), record(params), record(legs), record(state)
     jacobian, acceleration = np.empty((6, 6)), np.empty((6, 1))
     # Turn, shift, and change of twist and ball since the step's beginning, their rates in a stage, the mean of these.
-    terms, ball = np.empty((8 if params.ball.mass > 0.0 else 0, 7)), np.empty(5)
-    size = 17 if len(terms) else 12
-    change, rate, mean = np.zeros(size), np.empty(size), np.zeros(size)
+    change, rate, mean = np.zeros(17), np.empty(17), np.zeros(17)
+    rolls, terms, ball = params.ball.mass > 0.0, np.empty((8, 7)), np.empty(5)
+    size = 17 if rolls else 12
     held, applied, twist, pose, start = np.empty(6), np.empty(6), np.empty(6), np.empty(6), np.empty((3, 3))
     copy_to(held, torque)
     copy_to(pose, state.pose[:])
@@ -332,7 +334,7 @@ def _rk4_step(
             return bad, legs.reach_margin[bad]
         for k in range(6):
             twist[k] = state.twist[k] + change[6 + k]
-        if len(terms):
+        if rolls:
             for k in range(5):
                 ball[k] = state.ball[k] + change[12 + k]
             ball_terms(params.ball, legs.rotation[:], twist, params.base[:], ball, params.push[:], terms)
@@ -340,16 +342,16 @@ def _rk4_step(
             for k in range(3):
                 copy_to(start[k], legs.rotation[k])
             if any_nonzero(friction.break_away[:]) or any_nonzero(friction.viscous[:]):
-                _add_dry_friction(robot, friction, params, legs, terms, wrench, step, state, held)
+                _add_dry_friction(robot, friction, params, legs, rolls, terms, wrench, step, state, held)
         copy_to(applied, held)
         _add_viscous_friction(friction, legs, twist, applied)
-        _accelerations(robot, legs, twist, params.base[:], terms, applied, wrench, jacobian, acceleration)
+        _accelerations(robot, legs, twist, params.base[:], rolls, terms, applied, wrench, jacobian, acceleration)
         _turn_rate(change[:3], twist[:3], rate[:3])
         for k in range(3):
             rate[3 + k] = twist[3 + k]
         for k in range(6):
             rate[6 + k] = acceleration[k, 0]
-        if len(terms):
+        if rolls:
             ball_rate(params.ball, legs.rotation[:], twist, acceleration[:, 0], terms, ball, rate[12:])
         weight, ahead = (2.0 if 0 < stage < 3 else 1.0) / 6.0, 0.5 if stage < 2 else 1.0
         for k in range(size):
@@ -359,8 +361,9 @@ def _rk4_step(
     for k in range(6):
         twist[k] = state.twist[k] + change[6 + k]
     bad = _end_step(robot, friction, legs, step, pose, twist, state)
-    for k in range(5 if len(terms) and bad < 0 else 0):
-        state.ball[k] += change[12 + k]
+    if rolls and bad < 0:
+        for k in range(5):
+            state.ball[k] += change[12 + k]
     return bad, legs.reach_margin[max(bad, 0)]
 
 
@@ -391,7 +394,7 @@ def motion_rate(
     laws.twist_of(motion[:6], motion[6:], twist)
     copy_to(applied, torque)
     _add_viscous_friction(friction, legs, twist, applied)
-    _accelerations(robot, legs, twist, base, np.empty((0, 7)), applied, wrench, jacobian, acceleration)
+    _accelerations(robot, legs, twist, base, False, np.empty((8, 7)), applied, wrench, jacobian, acceleration)
     laws.euler_drift(motion[:3], motion[6:], out[6:9])
     for k in range(6):
         out[k] = motion[6 + k]
@@ -406,7 +409,8 @@ def _add_dry_friction(
     friction: Friction,
     params: ClosedFormParams,
     legs: Legs,
-    terms: Matrix,
+    rolls: bool,
+    terms: BallTerms,
     wrench: Vec6,
     step: float,
     state: ClosedFormState,
@@ -414,7 +418,7 @@ def _add_dry_friction(
 ) -> None:
     """Adds the dry friction of a semi-implicit step to torques: its friction without the viscous part at its end."""
     jacobian, accelerations, twist, friction_torque = np.empty((6, 6)), np.empty((6, 7)), np.empty(6), np.empty(6)
-    _accelerations(robot, legs, state.twist[:], params.base[:], terms, torque, wrench, jacobian, accelerations)
+    _accelerations(robot, legs, state.twist[:], params.base[:], rolls, terms, torque, wrench, jacobian, accelerations)
     for k in range(6):
         twist[k] = state.twist[k] + step * accelerations[k, 6]
     _friction_torque(friction, jacobian, accelerations, step, state, twist, friction_torque)
