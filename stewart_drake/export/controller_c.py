@@ -169,8 +169,9 @@ def _replay(options: ControlOptions, side: ControlSide) -> str:
     for k, reading in enumerate(readings_along(options, side, ticks)):
         try:
             read, *others = np.split(reading, np.cumsum([controller.reading, *further.values()])[:-1])
-            more = dict(zip(further, others, strict=True))
-            controller.step(read, k * on_grid(options.reading_period), out, **more)
+            of = dict(zip(further, others, strict=True))
+            time = k * on_grid(options.reading_period)
+            controller.step(read, time, out, imu=of.get("imu"), ball=of.get("ball"))
         except RunFailure:
             break
         wanted = [controller.signal(name) for name in names]

@@ -16,6 +16,7 @@ from stewart_drake.base.families import UserMade
 from stewart_drake.base.tables import AXES
 from stewart_drake.control.features import CostScales, cost
 from stewart_drake.hardware.motors import within_limit
+from stewart_drake.logs.ball_metrics import ball_errors, needed_friction
 from stewart_drake.logs.outcomes import MissingSignal, RunRows, assess, find_warnings, is_measured
 from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
 
@@ -275,6 +276,21 @@ METRICS: tuple[Metric, ...] = (
 )  # fmt: skip
 """Metrics of all runs, from all control ticks; peaks are from all steps of the plant."""
 
+
+def _ball_rmse(rows: RunRows) -> float | None:
+    errors = ball_errors(rows)
+    return None if errors is None else 1e3 * _rms(errors[rows.second_half_tick])
+
+
+BALL_METRICS: tuple[Metric, ...] = (
+    Metric("ball_rmse_mm", "mm", "RMS distance of the ball from its target", _ball_rmse, label="ball from its target"),
+    Metric(
+        "ball_friction", "1", "friction over normal force between ball and plate, exceeded in a thousandth of the steps",
+        needed_friction, "steps", label="friction that the ball needs", form=".2g",
+    ),
+)  # fmt: skip
+"""Further metrics of runs with a ball."""
+
 OUTCOME: tuple[Column, ...] = (
     Column(
         "status", "", "completed, stopped, lost or failed, see `outcomes.OUTCOMES`, failed also where the worker "
@@ -315,7 +331,7 @@ class UserMetric(UserMade, key="metrics"):
 
 def metrics_of(*scenarios: Scenario) -> list[Metric]:
     """`METRICS` and those of the scenarios; a ConfigurationError if a name is already used."""
-    metrics = list(METRICS)
+    metrics = [*METRICS, *(BALL_METRICS if any(scenario.ball is not None for scenario in scenarios) else ())]
     for metric in (own.made for scenario in scenarios for own in scenario.metrics):
         if metric not in metrics:
             # A sweep's table has columns of scenario keys too.
@@ -341,7 +357,7 @@ def flat(metrics: Document, *scenarios: Scenario) -> Document:
     row: Document = {}
     named: dict[str, str] = {}
     for metric in metrics_of(*scenarios):
-        parts, value = metric.parts or (metric.name,), metrics[metric.name]
+        parts, value = metric.parts or (metric.name,), metrics.get(metric.name)
         row |= dict(zip(parts, (value or [None] * len(parts)) if metric.parts else [value], strict=True))
         named |= {f"{metric.name}.{index}": part for index, part in enumerate(metric.parts)}
     return {**row, NOT_FINITE: {named.get(name, name): what for name, what in metrics[NOT_FINITE].items()}}

@@ -13,6 +13,7 @@ from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.config import did_you_mean
 from stewart_drake.base.errors import ConfigurationError, RunFailure, SafetyStop, StewartDrakeError
 from stewart_drake.base.sampling import steps_per
+from stewart_drake.logs.ball_metrics import needed_friction
 from stewart_drake.mechanics.ball import BALL_FELL
 from stewart_drake.mechanics.kinematics import inverse_kinematics, rotation_angle, rotation_matrix
 from stewart_drake.safety import MONITORS, RAMP, first_standstill, standstill_text
@@ -414,6 +415,9 @@ def find_warnings(status: Status, rows: RunRows, trip: Document | None) -> tuple
             if beyond.any():
                 text = f"{beyond.mean():.1%} of the inertial readings are at the end of the sensor's range"
                 events.append(("imu_saturated", rows.time[int(beyond.argmax())], float(beyond.mean()), text))
+        if (ball := rows.scenario.ball) is not None and (needed := needed_friction(rows) or 0.0) > ball.friction:
+            text = f"to roll without slipping, the ball needs a friction of {needed:.2g}; ball.friction is {ball.friction:g}"
+            events.append(("ball_slips", 0.0, needed, text))
         gap, rmse = rows.largest["loop_gap"], rows.second_half_rms_norms[1] if rows.second_half_ticks else math.nan
         if gap > LARGE_GAP * rmse:
             ratio = float(gap / rmse) if rmse > 0.0 else math.inf

@@ -105,6 +105,10 @@ def _state_panels(log: SimulationLog, moving: np.ndarray, erring: np.ndarray, wi
             min_range = float(np.clip(3.0 * np.nanmax(np.abs(values[:, axes])), 1e-4, 0.02))
             curves, colors = _curves(values, axes, rmse or [None] * 3)
             yield _Panel(SIGNALS[name].title, quantity.format(unit), curves, colors, min_range, name != "error")
+    if "ball" in log.signals:
+        target = () if log.scenario.ball_control is None else log.scenario.ball_control.target.evaluate(log.time).T[:2]
+        curves = dict(zip(("x", "y"), 1e3 * log["ball"].T, strict=True))
+        yield _Panel("Ball on the plate", "place [mm]", curves, references=tuple(1e3 * axis for axis in target))
     yield from _tuner_panels(log)
 
 

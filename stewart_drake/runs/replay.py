@@ -108,6 +108,6 @@ def _link_poses(log: SimulationLog, rows: np.ndarray) -> np.ndarray:
     # The simulated state shows open loops too, such as a broken rod.
     from stewart_drake.plant.multibody_plant import build_plant
 
-    _, stewart = build_plant(robot, DrakeOptions(rod_joint=log.scenario.plant.rod_joint))
+    _, stewart = build_plant(robot, DrakeOptions(rod_joint=log.scenario.plant.rod_joint), ball=log.scenario.ball)
     state = log["plant_state"][rows]
     return link_poses(robot, pose, stewart.crank_angles(state), reference, stewart.rod_directions(state))

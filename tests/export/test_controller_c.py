@@ -34,7 +34,7 @@ def on_closed_form(scenario):
 
 @cache
 def readings(scenario, seconds):
-    """Readings of a run in the closed form, at the controller's ticks."""
+    """Readings of a run in the closed form, at the controller's ticks, with those of a ball."""
     loop = SteppedLoop(on_closed_form(scenario))
     name = control_side(scenario, True, "reading" if "reading" in loop.runner.places else "plant_pose").reading
     stride = round(scenario.reading_period / loop.scenario.plant.time_step)
@@ -44,7 +44,8 @@ def readings(scenario, seconds):
         for step in range(round(seconds / loop.scenario.plant.time_step) + 1):
             loop.run_parts()
             if step % stride == 0:
-                rows.append(loop.runner.signal(name).copy())
+                ball = [loop.runner.signal("ball_reading")] if "ball_reading" in loop.runner.places else []
+                rows.append(np.concatenate([loop.runner.signal(name), *ball]))
             loop.move()
     except RunFailure:  # as without compensation of the weight
         pass
@@ -53,12 +54,17 @@ def readings(scenario, seconds):
 
 def both(controller, in_c, rows, period, ages=None):
     """Commands of both, up to where they give up, which they do at the same step."""
-    names = [name for name in ("reference", "reference_ahead") if name in controller._running.places]
+    places = controller._running.places
+    wanted = ["reference", "reference_ahead"]
+    if "ball_target" in places:
+        wanted = ["unturned_reference", "unturned_reference_ahead", "ball_target"]
+    names = [name for name in wanted if name in places]
     commands, out, mine = [], np.empty(6), np.empty(6)
     for k, row in enumerate(rows):
         age = 0.0 if ages is None else ages[k]
         try:
-            controller.step(row, k * on_grid(period), out, age)
+            reading, ball = np.split(row, [controller.reading])
+            controller.step(reading, k * on_grid(period), out, age, ball=ball if ball.size else None)
             given_up = False
         except RunFailure:
             given_up = True
