@@ -220,7 +220,7 @@ def _allowed(params: BallParams, tilt: float, rate: float) -> float:
     """Largest acceleration of a tilt after which it can still stop at `max_tilt`."""
     h, a = params.period, params.max_acceleration
     room = params.max_tilt - tilt - 0.5 * h * rate
-    after = -0.5 * a * h + np.sqrt((0.5 * a * h) ** 2 + 2.0 * a * max(0.0, room))
+    after = -0.5 * a * h + np.sqrt(max(0.0, (0.5 * a * h) ** 2 + 2.0 * a * room))
     return max(-a, min(a, (min(after, params.max_rate) - rate) / h))
 
 

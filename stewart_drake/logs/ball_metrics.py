@@ -21,7 +21,7 @@ def ball_errors(rows: RunRows) -> np.ndarray | None:
 
 
 def needed_friction(rows: RunRows) -> float | None:
-    """Friction over normal force [-] between ball and plate, exceeded in a thousandth of the steps; None without a ball.
+    """Friction over normal force [-] between ball and plate, exceeded in a thousandth of the steps; None without them.
 
     From the motion alone, so that it is of any plant; steps in which the ball is thrown are left out.
     """

@@ -416,7 +416,9 @@ def find_warnings(status: Status, rows: RunRows, trip: Document | None) -> tuple
                 text = f"{beyond.mean():.1%} of the inertial readings are at the end of the sensor's range"
                 events.append(("imu_saturated", rows.time[int(beyond.argmax())], float(beyond.mean()), text))
         if (ball := rows.scenario.ball) is not None and (needed := needed_friction(rows) or 0.0) > ball.friction:
-            text = f"to roll without slipping, the ball needs a friction of {needed:.2g}; ball.friction is {ball.friction:g}"
+            text = (
+                f"to roll, the ball needs a friction of {needed:.2g}, and ball.friction is {ball.friction:g}: it slips"
+            )
             events.append(("ball_slips", 0.0, needed, text))
         gap, rmse = rows.largest["loop_gap"], rows.second_half_rms_norms[1] if rows.second_half_ticks else math.nan
         if gap > LARGE_GAP * rmse:
