@@ -27,6 +27,7 @@ from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Record, Vec2, Vec3, Vec4, Vec18, record
 from stewart_drake.control.observer import kalman_gains
 from stewart_drake.loop.part import LoopContext, Part
+from stewart_drake.mechanics.rolling_ball import SLOW
 from stewart_drake.references import AnyReference
 from stewart_drake.references.motions import smoothstep
 from stewart_drake.robot.gravity import Gravity, gravity_vector
@@ -133,6 +134,7 @@ class BallControlOptions(Section, key="ball_control"):
             period=period,
             tilt=tilt,
             bend=bend,
+            drag=ball.resistance * tilt,
             gain=self.gain(tilt, bend, period),
             observer=gains,
             age=age,
@@ -179,6 +181,7 @@ class BallParams(Record):
 
     period: float  # [s]
     tilt: float  # [m/s^2] acceleration of the ball per rad of tilt.
+    drag: float  # [m/s^2] deceleration by rolling resistance.
     bend: float  # [m] acceleration of the ball per rad/s^2 of the tilt's second derivative.
     gain: Vec4  # K.
     observer: Vec3  # Gains from the innovation to place [-], velocity [1/s] and disturbance [1/s^2].
@@ -252,8 +255,11 @@ def ball_tick(
             for axis in range(2):
                 tilts[row, k, axis] = tilts[row - 1, k, axis]
     tilt = np.empty(3)
+    # Rolling resistance of a ball that moves as its target does: a disturbance that need not be observed.
+    speed = np.sqrt(ball_target[2] ** 2 + ball_target[3] ** 2 + SLOW**2)
     for axis in range(2):
-        place, velocity, force = state.place[axis], state.velocity[axis], state.disturbance[axis]
+        known = -params.drag * ball_target[2 + axis] / speed
+        place, velocity, force = state.place[axis], state.velocity[axis], state.disturbance[axis] + known
         for k in range(3):
             tilt[k] = tilts[flight + 1, k, axis]
         place, velocity = _roll(params, place, velocity, force, tilt)
@@ -264,7 +270,7 @@ def ball_tick(
             place += params.observer[0] * innovation
             velocity += params.observer[1] * innovation
             force += params.observer[2] * innovation
-        state.place[axis], state.velocity[axis], state.disturbance[axis] = place, velocity, force
+        state.place[axis], state.velocity[axis], state.disturbance[axis] = place, velocity, force - known
         for row in range(flight, 0, -1):
             for k in range(3):
                 tilt[k] = tilts[row, k, axis]

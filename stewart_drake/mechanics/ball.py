@@ -86,6 +86,8 @@ class KnownBall(Section, key="model.ball"):
     """[m]"""
     hollow: Flag = False
     """Whether all of its mass is in its surface."""
+    resistance: Share = 0.001
+    """[-] coefficient of rolling resistance; the presets' are assumed."""
     plate: BallPlate = Field(default_factory=BallPlate)
     """The plate that it rolls on."""
     sensor: BallSensor = Field(default_factory=BallSensor)
@@ -118,8 +120,6 @@ class KnownBall(Section, key="model.ball"):
 class BallOptions(KnownBall, key="ball"):
     """A ball that rolls on the platform."""
 
-    resistance: Share = 0.001
-    """[-] coefficient of rolling resistance."""
     friction: Annotated[Positive, Field(le=10.0)] = 0.5
     """[-] coefficient of sliding friction; where plant.kind is drake the ball may slip, else it never does."""
     start: Pair = (0.0, 0.0)
