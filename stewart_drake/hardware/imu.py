@@ -30,18 +30,20 @@ from stewart_drake.robot.gravity import Gravity, base_reading
 from stewart_drake.robot.leg import LARGEST_SIZE, Coordinate
 
 _STREAM, _UNIT_STREAM = 5, 6  # Numbers of the streams of random numbers, see `faults.tick_numbers`.
+_LONGEST_GAP, _FEWEST = 0.2, 5  # [s], periods.
 _DEG, _G, _MICRO_G = math.radians(1.0), 9.80665, 9.80665e-6
 
 # Bosch Sensortec, BMI088 data sheet (BST-BMI088-DS001): 0.014 deg/s/sqrt(Hz), 1 deg/s, 0.015 deg/s/K, 1 %; 160 to 190
-# ug/sqrt(Hz), 20 mg, 0.2 mg/K. CEVA, BNO080/085 data sheet (1000-3927), figure "BNO080 performance": accuracy 3.1 deg/s
-# and 0.3 m/s^2; noise as that of Bosch's BMI055, which is an estimate. InvenSense, MPU-6000/MPU-6050 product
-# specification 3.4 (PS-MPU-6000A-00), 6.1 and 6.2: 0.005 deg/s/sqrt(Hz), 20 deg/s, 3 %, 400 ug/sqrt(Hz), 80 mg,
-# 35 mg/70 K. Offsets there are limits or typical values; here they are two standard deviations. The drift is that of a
-# temperature that wanders by a kelvin in a minute, an estimate.
+# ug/sqrt(Hz), 20 mg, 0.2 mg/K. CEVA, BNO080/085 data sheet (1000-3927), 6.6 and figure 6-12: 2000 deg/s, 8 g, accuracy
+# 3.1 deg/s and 0.3 m/s^2; steps of 1/512 rad/s and 1/256 m/s^2, about 15 bits; noise as that of Bosch's BMI055, which
+# is an estimate. InvenSense, MPU-6000/MPU-6050 product specification 3.4 (PS-MPU-6000A-00), 6.1 and 6.2: 0.005
+# deg/s/sqrt(Hz), 20 deg/s, 3 %, 400 ug/sqrt(Hz), 50 and 80 mg, 35 and 60 mg between 0 and 70 deg C. Offsets there are
+# limits or typical values; here they are two standard deviations. The drift is that of a temperature that wanders by a
+# kelvin in a minute, an estimate.
 PRESETS: dict[str, dict[str, float]] = {
     "bmi088": {},
     "bno085": {"gyro_bias": 1.55 * _DEG, "accelerometer_bias": 0.15, "accelerometer_noise": 150.0 * _MICRO_G}
-    | {"accelerometer_range": 8.0 * _G, "delay": 0.002},
+    | {"gyro_range": 2000.0 * _DEG, "accelerometer_range": 8.0 * _G, "bits": 15, "delay": 0.002},
     "mpu6050": {"gyro_noise": 0.005 * _DEG, "gyro_bias": 10.0 * _DEG, "gyro_drift": 0.021 * _DEG, "scale_error": 0.015}
     | {"accelerometer_noise": 400.0 * _MICRO_G, "accelerometer_bias": 0.4, "accelerometer_drift": 65.0 * _MICRO_G}
     | {"gyro_range": 500.0 * _DEG, "accelerometer_range": 4.0 * _G},
@@ -102,6 +104,10 @@ class ImuOptions(Section, key="model.imu"):
     def noise(self, period: float) -> np.ndarray:
         """(6,) [rad/s, m/s^2] standard deviation of a reading, a mean over a period [s], without rounding."""
         return self.by_channel("noise") / math.sqrt(2.0 * period)
+
+    def longest_gap(self, period: float) -> float:
+        """[s] without a new reading, after which the sensor is dead; `period` [s] is that of the encoders' readings."""
+        return max(_LONGEST_GAP, _FEWEST * (self.period or period))
 
     @property
     def mounting(self) -> np.ndarray:

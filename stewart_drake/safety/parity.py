@@ -41,7 +41,6 @@ ONE_LINE, OTHER_LINES = 0.35, 0.7
 """Share of the difference that is off a leg's line, below which the leg is named; and its largest share of that of the
 next leg."""
 ITERATIONS, TOLERANCE = 3, 1e-9  # Steps of Newton's method; [m] error of a rod.
-LONGEST_GAP, FEWEST = 0.2, 5  # [s], samples without a new value, after which the inertial sensor is dead or frozen.
 START_SPEED = 0.5  # [m/s] by which a robot that starts off its reference may gather speed, less at the end.
 SIGMAS = 5.0  # Standard deviations of its offsets and scales within which gravity is at the start.
 AT_ODDS, ODDS_TIME = 0.5, 0.1
@@ -394,7 +393,7 @@ def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:
         later=imu.delay - context.reading_age,
         bound=bound,
         sample=max(1.0, period / context.period),
-        longest_gap=max(LONGEST_GAP, FEWEST * period) / context.period,
+        longest_gap=imu.longest_gap(context.period) / context.period,
         noisy=(imu.noise(period) > imu.quantum).any(),
         range=imu.by_channel("range") - imu.quantum,
         force_bias=SIGMAS * (imu.accelerometer_bias + imu.scale_error * STANDARD_GRAVITY),
