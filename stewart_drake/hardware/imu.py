@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from stewart_drake.base.config import Natural, NotNegative, Period, Phase, Positive, Section, Seed, Share, Text
+from stewart_drake.base.config import Natural, NotNegative, Period, Positive, Section, Seed, Share, Text
 from stewart_drake.base.families import Table
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Mat3, Record, Vec3, Vec6, Vec9, Vec12, record
@@ -26,7 +26,7 @@ from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics_laws import add_base_acceleration
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.mechanics.linear_algebra import copy_to, set_to
-from stewart_drake.robot.gravity import Gravity, base_reading
+from stewart_drake.robot.gravity import Gravity, Orientation, base_reading
 from stewart_drake.robot.leg import LARGEST_SIZE, Coordinate
 
 _STREAM, _UNIT_STREAM = 5, 6  # Numbers of the streams of random numbers, see `faults.tick_numbers`.
@@ -57,7 +57,7 @@ class ImuOptions(Section, key="model.imu"):
     """A commercial sensor, which sets the defaults of the other keys."""
     position: tuple[Coordinate, Coordinate, Coordinate] = (0.0, 0.0, 0.0)
     """[m] place of the sensor in the platform's frame P."""
-    rotation: tuple[Phase, Phase, Phase] = (0.0, 0.0, 0.0)
+    rotation: Orientation = (0.0, 0.0, 0.0)
     """[rad] roll, pitch and yaw of the sensor's axes in the platform's frame P."""
     period: Period | None = None
     """[s] between two readings, each a mean of this time; null for that of the encoders' readings."""

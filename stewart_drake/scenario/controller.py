@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from numbers import Real
 
@@ -75,7 +76,7 @@ class Controller:
         # Commands that are no torques have their limit in the motor.
         self._limits = side.context.robot.effort_limits if side.command == side.torque else np.inf
         self._stillness = None if self._safe else Stillness(side.context.robot, self.period)
-        self._last, self._ticks = -np.inf, 0
+        self._last, self._ticks, self._told = -np.inf, 0, False
 
     def step(
         self, readings: np.ndarray, time: float, out: np.ndarray, age: float = 0.0, imu: np.ndarray | None = None
@@ -89,7 +90,7 @@ class Controller:
             out: (6,) out, commands for the motors in `unit`: float64; torques are within the robot's effort limits.
             age: [s] of the readings beyond that of the scenario; the safety layer's `deadline` refers to it.
             imu: (6,) rates [rad/s] and specific force [m/s^2] in the axes of `model.imu`; None, or NaN, where there is
-                no new reading. A controller whose estimator does not use it ignores it.
+                no new reading. A controller that does not use it ignores it, with a line of the log.
 
         Raises:
             ConfigurationError: An argument of another shape, type or range; nothing has changed then.
@@ -114,6 +115,12 @@ class Controller:
             raise ConfigurationError("imu", f"{inertial.shape} of {inertial.dtype}", allowed)
         if self._imu is not None:
             self._imu[:] = np.nan if inertial is None else inertial
+        elif inertial is not None and not self._told:
+            self._told = True
+            line = (
+                "the inertial sensor is not used: it needs model.imu, its place and axes, and observer or safety.parity"
+            )
+            logging.getLogger("stewart_drake").warning("stewart-drake: %s", line)
         self._reading[:] = given
         self._age[0] = late / self._tick
         self._running.time[0] = self._last = now

@@ -170,6 +170,8 @@ def test_a_preset_sets_the_defaults_of_the_others():
     ({"rotation": [90.0, 0.0, 0.0]}, "sensors.imu.rotation"),
     ({"rotation": "upside down"}, "sensors.imu.rotation"),
     ({"rotation": [0.1, 0.2]}, "sensors.imu.rotation"),
+    ({"rotation": np.eye(3).tolist()}, "sensors.imu.rotation"),
+    ({"rotation": [0.0, np.nan, 0.0]}, "sensors.imu.rotation"),
     ({"position": [0.0, 0.0, 40.0]}, "sensors.imu.position"),
     ({"period": 0.0015}, "sensors.imu.period"),
     ({"period": 0.0}, "sensors.imu.period"),
@@ -220,3 +222,14 @@ def test_a_range_that_is_too_small_is_a_warning_and_the_run_goes_on():
     log = run(loaded.replace({"sensors": {"kind": "encoders", "imu": imu}, "estimator": "observer"}))
     (told,) = (each for each in log.warnings if each["name"] == "imu_saturated")
     assert (log.status, 0.0 < told["number"] <= 1.0) == ("completed", True)
+
+
+@pytest.mark.parametrize(("period", "delay"), [(None, 0.0), (0.02, 0.01)])
+def test_a_sensor_that_dies_is_a_warning_and_a_slow_one_is_none(period, delay):
+    loaded = load_scenario("exact_fig7", ["duration=0.6", "plant.kind=closed_form"])
+    for faults in ([], [{"kind": "nan", "time": 0.3}]):
+        imu = {"period": period, "delay": delay, "faults": faults}
+        sensors = {"kind": "encoders", "imu": imu}
+        log = run(loaded.replace({"sensors": sensors, "estimator": {"kind": "observer", "imu": False}}))
+        found = [each["number"] for each in log.warnings if each["name"] == "imu_silent"]
+        assert found == ([pytest.approx(0.3, abs=0.025)] if faults else [])
