@@ -15,9 +15,10 @@ LOW, HIGH = -1.5, 1.5  # Commands beyond are not followed.
 PERIOD, HOLD_AFTER, QUIET_AFTER = 0.02, 0.1, 1.0  # [s]; the first is also that of the controller
 
 
-def encode(flags, number, answers, microseconds, values):
-    """The bytes of a packet."""
-    body = BODY.pack(b"SD", 1, flags, number & 0xFFFFFFFF, answers, microseconds, *values)
+def encode(flags, number, answers, microseconds, values, imu=None):
+    """The bytes of a packet, of version 2 with six numbers of an inertial sensor."""
+    body = BODY.pack(b"SD", 1 if imu is None else 2, flags, number & 0xFFFFFFFF, answers, microseconds, *values)
+    body += b"" if imu is None else struct.pack("<6f", *imu)
     return body + CHECK.pack(zlib.crc32(body))
 
 
@@ -51,6 +52,9 @@ class Motors:
         """Six angles."""
         return self.angles
 
+    def imu(self):
+        """Rates [rad/s] and specific force [m/s^2] of an inertial sensor, NaN where not new; None without one."""
+
 
 def serve(motors, port, period=PERIOD, host="127.0.0.1"):
     """For ever."""
@@ -78,7 +82,7 @@ def serve(motors, port, period=PERIOD, host="127.0.0.1"):
         if now - heard <= QUIET_AFTER:
             sent += 1
             flags = READING | MEASURED | TAKES << 2 | (0 if holds else ACTIVE)
-            line.sendto(encode(flags, sent, last, int(now * 1e6), motors.read()), peer)
+            line.sendto(encode(flags, sent, last, int(now * 1e6), motors.read(), motors.imu()), peer)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ gives the loop at one pose, and the robot alone, for numpy and for python-contro
 from __future__ import annotations
 
 import contextlib
+import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -77,6 +78,9 @@ def linear_loops(
     if scenario.estimator.imu:
         # The inertial readings depend on the torque at once.
         changes["estimator.imu"] = False
+        if scenario.controller_model.imu is not None:
+            line = "stewart-drake: the inertial sensor is left out of the linear loop"
+            logging.getLogger("stewart_drake").warning(line)
     scenario = scenario.replace(changes)
     sensed = _sensed(scenario.controller_model.reading_size, scenario.robot, poses)
     plants = plant_at(scenario.plant.loaded(scenario.robot), poses, scenario.gravity_in_base, period)
@@ -302,7 +306,7 @@ def linearize(scenario: Scenario | str | Path, pose: ArrayLike | None = None) ->
 
     Args:
         scenario: A scenario, its file or its name: robot, estimator and controller with the initial weights, without
-            friction, learning and dead band.
+            friction, learning, dead band and inertial sensor.
         pose: (6,) [rad, m]; None for the initial pose.
 
     Raises:

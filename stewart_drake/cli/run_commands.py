@@ -291,7 +291,7 @@ def margins(scenario: str, out: Path, poses: int, quick: bool, overrides: tuple[
     The loop with sensors, estimator, controller and delay is linearised at rest and opened at the six motor torques.
     The margins are gain, phase, delay and disk margins, one motor at a time and all at once. The random poses are up to
     30 deg about every axis, 60 mm in X and Y and 50 mm in Z from home, within the scenario's limits; lengths scale with
-    the robot. Friction, learning, saturation, a dead band and encoder resolution are left out;
+    the robot. Friction, learning, saturation, a dead band, encoder resolution and an inertial sensor are left out;
     weights keep their start values. Writes margins.json and margins.png.
     """
     from stewart_drake.analysis.linear_loop import linear_loops, poses_to_stand_at

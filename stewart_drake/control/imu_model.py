@@ -43,6 +43,9 @@ def imu_model(options: ImuOptions, period: float, reading_age: float) -> ImuMode
     late = (options.delay - reading_age) / period
     early, ticks = max(0, math.ceil(-late - 1e-9)), max(1, round(every / period))
     lag = math.floor(late + early + 1e-9)
+    if ticks > MOST_TICKS:
+        allowed = f"at most {MOST_TICKS * period:g} s, {MOST_TICKS} of an observer's ticks; or estimator.imu false"
+        raise ConfigurationError("model.imu.period", every, allowed)
     if max(early, lag + ticks) > MOST_TICKS:
         allowed = f"an age within {MOST_TICKS * period:g} s of that of the angles, {MOST_TICKS} of an observer's ticks"
         raise ConfigurationError("model.imu.delay", options.delay, allowed)

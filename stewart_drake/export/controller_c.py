@@ -94,7 +94,8 @@ def controller_files(options: ControlOptions, name: str, prefix: str = "") -> di
     words |= {"PARTS": ", ".join(f'"{part.name}"' for part in parts), "LOOP": loop.text().rstrip()}
     words |= {"TABLE": _reference(side, period, ticks)}
     wanted = {"controller.h": f"{prefix}.h", "controller.c": f"{prefix}.c", "reference.c": f"{prefix}_reference.c"}
-    wanted |= {name: name for name in ("main.c", "Makefile", *(["board.c"] if reads_angles and not further else []))}
+    boards = ["board.c"] if reads_angles and "ball_reading" not in further else []
+    wanted |= {name: name for name in ("main.c", "Makefile", *boards)}
     files = {file: from_template(template, words) for template, file in wanted.items()}
     return {**files, "replay.csv": _replay(options, side)}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -395,6 +395,21 @@ def _error_over_motion(rows: RunRows) -> str:
     return f"from {begin:.4g} to {end:.4g} s the RMS error was {ratio:.3g} times the motion"
 
 
+def _inertial_warnings(rows: RunRows) -> Iterator[tuple[str, float, float, str]]:
+    """Name, time [s], number and text of warnings about the inertial sensor that the controller expects."""
+    imu, sensor = rows.signals.get("imu"), rows.scenario.controller_model.imu
+    if imu is None or sensor is None:
+        return
+    beyond = (np.abs(imu) >= sensor.by_channel("range") - sensor.quantum).any(axis=1)
+    if beyond.any():
+        text = f"{beyond.mean():.1%} of the inertial readings are at the end of the sensor's range"
+        yield "imu_saturated", rows.time[int(beyond.argmax())], float(beyond.mean()), text
+    told = np.concatenate([rows.time[:1], rows.time[np.isfinite(imu).all(axis=1)], rows.time[-1:]])
+    longest = int(np.diff(told).argmax())
+    if (gap := float(np.diff(told)[longest])) > sensor.longest_gap(rows.scenario.reading_period):
+        yield "imu_silent", told[longest], gap, f"the inertial sensor gave no readings for {gap:.3g} s"
+
+
 def find_warnings(status: Status, rows: RunRows, trip: Document | None) -> tuple[Document, ...]:
     """Warnings of a run: name, time [s], number and text."""
     events: list[tuple[str, float, float, str]] = []
@@ -409,12 +424,7 @@ def find_warnings(status: Status, rows: RunRows, trip: Document | None) -> tuple
         if share > MUCH_SATURATION:
             when = rows.time[int(rows.at_limit.any(axis=1).argmax())]
             events.append(("saturation", when, share, f"{share:.1%} of the torques are at their limit"))
-        imu, sensor = rows.signals.get("imu"), rows.scenario.controller_model.imu
-        if imu is not None and sensor is not None:
-            beyond = (np.abs(imu) >= sensor.by_channel("range") - sensor.quantum).any(axis=1)
-            if beyond.any():
-                text = f"{beyond.mean():.1%} of the inertial readings are at the end of the sensor's range"
-                events.append(("imu_saturated", rows.time[int(beyond.argmax())], float(beyond.mean()), text))
+        events += _inertial_warnings(rows)
         if (ball := rows.scenario.ball) is not None and (needed := needed_friction(rows) or 0.0) > ball.friction:
             text = (
                 f"to roll, the ball needs a friction of {needed:.2g}, and ball.friction is {ball.friction:g}: it slips"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -89,9 +88,6 @@ def connected(
         raise ConfigurationError("controller.period", period, allowed)
     motion = PacedMotion(reference, reference.evaluate(0.0)[0], RAMP)
     first = machine.read()
-    if first.imu is not None and model.imu is None:
-        line = "the machine has an inertial sensor; without model.imu, its place and axes, it is not used"
-        logging.getLogger("stewart_drake").warning("stewart-drake: %s", line)
     start = plan_start(scenario, machine, motion, first.angles, seconds)
     report = check_reference(model.robot, scenario.limits, motion, start.duration, scenario.gravity_in_base)
     report.raise_if_infeasible()

@@ -7,6 +7,9 @@ vector. An encoder that is wrong moves it along a line of its own, one of six, w
 sensor that is wrong moves it along none of them.
 
 Gravity says nothing about a turn around it, so this part of the orientation follows the encoders slowly.
+
+Gyroscopes and gravity also check each other: an encoder that is wrong does not set them at odds. An inertial sensor is
+wrong as well if it gives no new readings, or if gravity at the start is not where its mounting has it.
 """
 
 from __future__ import annotations
@@ -15,13 +18,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat3, Mat6x3, Record, Vec2, Vec3, Vec6, Vec18, record
+from stewart_drake.base.records import Mat3, Mat6x3, Record, Vec2, Vec3, Vec6, Vec9, Vec18, record
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.dynamics_laws import add_base_acceleration
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot, cross, dot, turned
-from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, set_to, solve
-from stewart_drake.robot.gravity import gravity_vector
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, largest_size, set_to, solve
+from stewart_drake.robot.gravity import base_reading
 
 if TYPE_CHECKING:
     from stewart_drake.hardware.imu import ImuOptions
@@ -35,18 +41,27 @@ ONE_LINE, OTHER_LINES = 0.35, 0.7
 """Share of the difference that is off a leg's line, below which the leg is named; and its largest share of that of the
 next leg."""
 ITERATIONS, TOLERANCE = 3, 1e-9  # Steps of Newton's method; [m] error of a rod.
-AGREES, DIFFERS = 0, 1
+START_SPEED = 0.5  # [m/s] by which a robot that starts off its reference may gather speed, less at the end.
+SIGMAS = 5.0  # Standard deviations of its offsets and scales within which gravity is at the start.
+AT_ODDS, ODDS_TIME = 0.5, 0.1
+"""Share of the level part of the difference to which gyroscopes and gravity agree or differ; [s] of the mean of it."""
+AGREES, DIFFERS, INERTIAL = 0, 1, 2
 
 
 class ParityParams(Record):
     """Parameters of the comparison."""
 
     period: float  # [s] of a sample.
-    gravity: Vec3  # [m/s^2] in B.
+    base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     mounting: Mat3  # R_PI of the sensor.
     place: Vec3  # [m] of the sensor in P.
     later: float  # [s] by which a sample of the inertial sensor is older than a reading of the encoders.
     bound: float  # [rad] largest difference of the two orientations.
+    sample: float  # [ticks] between two samples.
+    longest_gap: float  # [ticks] without a new sample; 0 for any number.
+    noisy: float  # 1 if two samples of a working sensor are never the same.
+    range: Vec6  # [rad/s, m/s^2] samples that are not below it are not used; 0 for none.
+    force_bias: float  # [m/s^2] largest offset of an accelerometer; 0 for any.
 
 
 class ParityState(Record):
@@ -60,6 +75,10 @@ class ParityState(Record):
     force_bias: Vec3  # [m/s^2] of the accelerometers, in P.
     difference: Vec3  # [rad] rotation in B from the inertial sensor's orientation to the encoders'.
     count: float  # Samples beyond the bound, less those within it.
+    last: Vec6  # [rad/s, m/s^2] the newest sample.
+    gap: float  # [ticks] since a sample that was used.
+    odds: Vec3  # [rad] mean turn in B from the orientation by gyroscopes to that by gravity.
+    excess: float  # [m/s^2] mean by which the specific force is larger than the expected one.
 
 
 @njit
@@ -170,10 +189,14 @@ def parity_sample(
     A sample of the sensor is the mean of the time since the last one.
 
     Returns:
-        AGREES or DIFFERS; `legs` are those of the encoders' pose. Samples that are not finite are left out.
+        AGREES, DIFFERS, or INERTIAL if the inertial sensor is wrong; `legs` are those of the encoders' pose. Samples
+        that are not finite, saturated, or repeat the last one of a noisy sensor are left out.
     """
-    if not (all_finite(angles) and all_finite(imu)):
+    if not all_finite(angles):
         return AGREES
+    state.gap += 1.0
+    if not _is_new(params, imu, state):
+        return INERTIAL if 0.0 < params.longest_gap < state.gap else AGREES
     pose, before = state.pose[:], np.empty((3, 3))
     is_first = state.samples == 0.0
     if is_first:
@@ -188,18 +211,81 @@ def parity_sample(
     rates, force, expected = np.empty(3), np.empty(3), np.empty(3)
     turned(params.mounting, imu[:3], rates)
     turned(params.mounting, imu[3:], force)
-    sensor_acceleration(params.place, reference, expected)
-    for k in range(3):
-        expected[k] -= params.gravity[k]
+    _expect(params, reference, expected)
+    gap, state.gap = state.gap, 0.0
+    is_late = gap > 1.5 * params.sample > 0.0
+    if (state.samples + 1.0) * params.period <= ALIGNMENT:
+        if not is_late:
+            state.samples += 1.0
+            _align(params, legs, before, rates, force, expected, state)
+        return INERTIAL if _is_turned(params, state) else AGREES
     state.samples += 1.0
-    if state.samples * params.period <= ALIGNMENT:
-        _align(params, legs, before, rates, force, expected, state)
-        return AGREES
+    if is_late:
+        _bridge(legs, before, 1.0 - params.sample / gap, state)
     _turn(params, legs, before, rates, force, expected, state)
     size = np.sqrt(dot(state.difference, state.difference))
     state.count = max(0.0, state.count + (1.0 if size > params.bound else -1.0))
     state.count = min(state.count, CONFIRMED)
+    if _is_turned(params, state) or _is_at_odds(params, state):
+        return INERTIAL
     return DIFFERS if state.count >= CONFIRMED else AGREES
+
+
+@njit
+def _is_new(params: ParityParams, imu: Vec6, state: ParityState) -> bool:
+    """Whether a sample is one to use; keeps it."""
+    same = params.noisy > 0.0
+    for k in range(6):
+        if not np.isfinite(imu[k]) or 0.0 < params.range[k] <= abs(imu[k]):
+            return False
+        same = same and imu[k] == state.last[k]
+    copy_to(state.last[:], imu)
+    return not same
+
+
+@njit
+def _expect(params: ParityParams, reference: Vec18, out: Vec3) -> None:
+    """Specific force [m/s^2] in B at the sensor, in the motion of a reference (18,)."""
+    turn, place, velocity, omega = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    sensor_acceleration(params.place, reference, out)
+    laws.rotation(reference[:3], turn)
+    turned(turn, params.place, place)
+    laws.angular_velocity(reference[:3], reference[6:9], omega)
+    cross(omega, place, velocity)
+    for k in range(3):
+        place[k] += reference[3 + k]
+        velocity[k] += reference[9 + k]
+        out[k] += params.base[k]
+    add_base_acceleration(params.base, place, velocity, out)
+
+
+@njit
+def _is_turned(params: ParityParams, state: ParityState) -> bool:
+    """Whether gravity was not where the mounting has it, by the offsets of the accelerometers at the start."""
+    if params.force_bias == 0.0 or state.samples == 0.0:
+        return False
+    elapsed = min(state.samples * params.period, ALIGNMENT)
+    most = params.force_bias + START_SPEED * (1.0 / elapsed - 1.0 / ALIGNMENT)
+    return largest_size(state.force_bias[:]) > most
+
+
+@njit
+def _is_at_odds(params: ParityParams, state: ParityState) -> bool:
+    """Whether gyroscopes and accelerometers contradict each other, or gravity is not what it was."""
+    largest = np.sqrt(dot(params.base[:3], params.base[:3]))
+    if abs(state.excess) > TRUSTED_FORCE * largest:
+        return True
+    # Gravity sees the level part of the difference. Gyroscopes that are wrong go from gravity and encoders alike; wrong
+    # accelerometers go from both the other way, farther than the orientation, which follows them slowly.
+    level, apart = np.empty(3), np.empty(3)
+    around = dot(state.difference, params.base[:3]) / largest**2
+    for k in range(3):
+        level[k] = state.difference[k] - around * params.base[k]
+        apart[k] = state.odds[k] - level[k]
+    size, odds, along = dot(level, level), dot(state.odds, state.odds), dot(state.odds, level)
+    if state.count < CONFIRMED:
+        return False
+    return dot(apart, apart) < AT_ODDS**2 * size or (along < 0.0 and odds > AT_ODDS**2 * size)
 
 
 @njit
@@ -212,10 +298,12 @@ def _align(
     for k in range(3):
         copy_to(state.rotation[k], legs.rotation[k])
     true_rate, true_force = np.empty(3), np.empty(3)
+    for k in range(3):
+        turn[k] = turn[k] / params.period + params.base[3 + k]
     turned_back(legs.rotation, turn, true_rate)
     turned_back(legs.rotation, expected, true_force)
     for k in range(3):
-        state.rate_bias[k] += share * (rates[k] - true_rate[k] / params.period - state.rate_bias[k])
+        state.rate_bias[k] += share * (rates[k] - true_rate[k] - state.rate_bias[k])
         state.force_bias[k] += share * (force[k] - true_force[k] - state.force_bias[k])
 
 
@@ -230,16 +318,22 @@ def _turn(
         force[k] -= state.force_bias[k]
     turned(rotation, rates, step)
     for k in range(3):
-        step[k] *= h
+        step[k] = h * (step[k] - params.base[3 + k])
     turn_by(step, rotation)
     # Gravity: the tilt that turns the measured force into the expected one.
     measured, tilt, in_platform = np.empty(3), np.zeros(3), np.empty(3)
     turned(rotation, force, measured)
-    weight, largest = np.sqrt(dot(expected, expected)), np.sqrt(dot(params.gravity, params.gravity))
-    if abs(np.sqrt(dot(measured, measured)) - weight) < TRUSTED_FORCE * largest:
+    weight, largest = np.sqrt(dot(expected, expected)), np.sqrt(dot(params.base[:3], params.base[:3]))
+    excess, share = np.sqrt(dot(measured, measured)) - weight, min(1.0, h / ODDS_TIME)
+    state.excess += h / TILT_TIME * (excess - state.excess)
+    if abs(excess) < TRUSTED_FORCE * largest:
         cross(measured, expected, tilt)
         for k in range(3):
-            tilt[k] *= h / (TILT_TIME * weight**2)
+            tilt[k] /= weight**2
+            # An encoder that jumps moves the platform at once; of that acceleration a part is gravity's no more.
+            clipped = min(max(tilt[k], -params.bound), params.bound)
+            state.odds[k] += share * (clipped - state.odds[k])
+            tilt[k] *= h / TILT_TIME
         turn_by(tilt, rotation)
         turned_back(rotation, tilt, in_platform)
         for k in range(3):
@@ -247,9 +341,9 @@ def _turn(
     difference = state.difference[:]
     rotation_between(legs.rotation, rotation, difference)
     # Around gravity: the encoders.
-    around = dot(difference, params.gravity) / largest**2 * h / TURN_TIME
+    around = dot(difference, params.base[:3]) / largest**2 * h / TURN_TIME
     for k in range(3):
-        step[k] = around * params.gravity[k]
+        step[k] = around * params.base[k]
     turn_by(step, rotation)
     turned_back(rotation, step, in_platform)
     for k in range(3):
@@ -261,28 +355,48 @@ def _turn(
 
 
 @njit
+def _bridge(legs: Legs, before: Mat3, share: float, state: ParityState) -> None:
+    """Turns the inertial orientation by a share of the encoders' turn since the last sample, where some are missing."""
+    turn = np.empty(3)
+    rotation_between(legs.rotation, before, turn)
+    for k in range(3):
+        turn[k] *= share
+    turn_by(turn, state.rotation[:])
+
+
+@njit
 def parity_tick(
     robot: Robot, params: ParityParams, reading: Vec6, imu: Vec6, reference: Vec18, legs: Legs, state: ParityState
 ) -> None:
     """A tick; `imu` (6,) is NaN where there is no new sample."""
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
-    if parity_sample(robot, params, reading, imu, reference, legs, state) == AGREES:
+    result = parity_sample(robot, params, reading, imu, reference, legs, state)
+    if result == AGREES:
         state.parity[0], state.parity[1] = 0.0, -1.0
     elif state.parity[0] == 0.0:
-        lines = np.empty((6, 3))
-        leg = suspect_leg(lines, state.difference)[0] if encoder_lines(legs, lines) else -1
+        leg, lines = -1, np.empty((6, 3))
+        if result == DIFFERS and encoder_lines(legs, lines):
+            leg = suspect_leg(lines, state.difference)[0]
         state.parity[0], state.parity[1] = 1.0, float(leg)
 
 
 def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:
     """`reading` (6,) [rad], `imu` (6,), `reference` (18,) -> `parity` (2,), for a bound [rad] of the difference."""
+    period, base = imu.period or context.period, base_reading(context.gravity)
+    if not base[:3].any():
+        raise ConfigurationError("safety.parity", bound, "null, without gravity")
     params = ParityParams.new(
-        period=imu.period or context.period,
-        gravity=gravity_vector(context.gravity),
+        period=period,
+        base=base,
         mounting=imu.mounting,
         place=imu.position,
         later=imu.delay - context.reading_age,
         bound=bound,
+        sample=max(1.0, period / context.period),
+        longest_gap=imu.longest_gap(context.period) / context.period,
+        noisy=(imu.noise(period) > imu.quantum).any(),
+        range=imu.by_channel("range") - imu.quantum,
+        force_bias=SIGMAS * (imu.accelerometer_bias + imu.scale_error * STANDARD_GRAVITY),
     )
     inputs, parameters = {"reading": 6, "imu": 6, "reference": 18}, {"robot": laws.robot_record(context.robot)}
     first = ParityState.new(parity=[0.0, -1.0])

@@ -92,13 +92,14 @@ def _outside(scenario: Scenario) -> tuple[Source, ...]:
 
 def sensor_parts(scenario: Scenario) -> list[Part]:
     """Parts that compute `reading`, none if it is the pose of the plant, and `imu` and `ball_reading`, if there are."""
-    imu, periods = scenario.sensors.imu, (scenario.plant.time_step, scenario.reading_period)
-    inertial = (
-        [] if imu is None else imu_parts(imu, scenario.gravity_in_base, *periods, np.concatenate(scenario.start()))
-    )
+    imu, parts, gravity = scenario.sensors.imu, _reading_parts(scenario), scenario.gravity_in_base
     step = scenario.plant.time_step
-    of_ball = [] if scenario.ball is None else ball_parts(scenario.ball, scenario.controller.period, step)
-    return [*_reading_parts(scenario), *inertial, *of_ball]
+    if imu is not None:
+        first = {"plant_pose": np.concatenate(scenario.start())}
+        if (motion := scenario.base.motion) is not None:
+            first["base_motion"] = base_signal(motion, gravity, np.zeros(1))[0]
+        parts += imu_parts(imu, gravity, step, scenario.reading_period, first)
+    return parts if scenario.ball is None else [*parts, *ball_parts(scenario.ball, scenario.controller.period, step)]
 
 
 def _reading_of(sensors: list[Part]) -> str:

@@ -260,6 +260,7 @@ class _Wiring:
             parity = parity_part(context, context.imu, safety.parity)
             self.parts.append(parity.connected(reading=self.reading, reference=self.reference))
             seen["parity"] = "parity"
+            self.logged["imu"] = "imu"
         return [safety_part(safety, context).connected(**seen).named(torque="safe_torque")]
 
     def add_writers(self, layer: list[Part]) -> list[Part]:

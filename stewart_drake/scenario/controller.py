@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from numbers import Real
 
@@ -75,7 +76,7 @@ class Controller:
         # Commands that are no torques have their limit in the motor.
         self._limits = side.context.robot.effort_limits if side.command == side.torque else np.inf
         self._stillness = None if self._safe else Stillness(side.context.robot, self.period)
-        self._last, self._ticks = -np.inf, 0
+        self._last, self._ticks, self._told = -np.inf, 0, False
 
     def step(
         self,
@@ -95,7 +96,7 @@ class Controller:
             out: (6,) out, commands for the motors in `unit`: float64; torques are within the robot's effort limits.
             age: [s] of the readings beyond that of the scenario; the safety layer's `deadline` refers to it.
             imu: (6,) rates [rad/s] and specific force [m/s^2] in the axes of `model.imu`; None, or NaN, where there is
-                no new reading. A controller whose estimator does not use it ignores it.
+                no new reading. A controller that does not use it ignores it, with a line of the log.
             ball: (2,) [m] place of the ball on the plate, x and y in P, for `ball_control`; None or NaN likewise.
 
         Raises:
@@ -118,6 +119,12 @@ class Controller:
         others = {"imu": _optional("imu", imu, 6), "ball_reading": _optional("ball", ball, 2)}
         for name, signal in self._others.items():
             signal[:] = others[name]
+        if imu is not None and "imu" not in self._others and not self._told:
+            self._told = True
+            line = (
+                "the inertial sensor is not used: it needs model.imu, its place and axes, and observer or safety.parity"
+            )
+            logging.getLogger("stewart_drake").warning("stewart-drake: %s", line)
         self._reading[:] = given
         self._age[0] = late / self._tick
         self._running.time[0] = self._last = now

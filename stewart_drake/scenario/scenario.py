@@ -128,7 +128,8 @@ class Scenario(ControlOptions):
         readings, motors = self.sensors, self.motors.nominal
         read = readings.reading, readings.reading_noise
         model = Model(self.robot, self.gravity_in_base, None, *read, self.command_delay, motors, readings.delay)
-        return model._replace(imu=readings.imu, ball=None if self.ball is None else self.ball.known)
+        ball, imu = self.ball and self.ball.known, readings.imu and readings.imu.nominal
+        return model._replace(imu=imu, ball=ball)
 
     @property
     def asked(self) -> Reference:
@@ -195,10 +196,6 @@ class Scenario(ControlOptions):
             raise ConfigurationError("base_compensation", self.base_compensation, "none, without base.sensor")
         steps_per("controller.period", self.controller.period, self.plant.time_step)
         steps_per("estimator.period", self.reading_period, self.plant.time_step)
-        if self.sensors.imu is not None and self.base.motion is not None:
-            raise ConfigurationError(
-                "sensors.imu", self.sensors.imu.to_dict(), "null, with base.motion, which it would read too"
-            )
         if self.sensors.imu is not None and self.sensors.imu.period is not None:
             steps_per("sensors.imu.period", self.sensors.imu.period, self.plant.time_step)
         largest = MAX_STEPS * self.plant.time_step

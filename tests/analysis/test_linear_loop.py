@@ -93,6 +93,13 @@ def test_a_loop_for_slow_buses_is_linearised_without_its_dead_band_and_what_it_l
     assert proportional.a.shape[-1] == loops.a.shape[-1] - 6
 
 
+def test_a_line_tells_that_an_inertial_sensor_is_left_out(caplog):
+    made = scenario("estimator=observer", "sensors={kind: encoders, imu: {}}")
+    loops = linear_loops(made, POSE[None])
+    assert [record.message for record in caplog.records if "inertial sensor is left out" in record.message]
+    np.testing.assert_array_equal(loops.closed, linear_loops(made.replace({"sensors.imu": None}), POSE[None]).closed)
+
+
 def test_a_pose_that_cannot_be_held_is_left_out():
     # Nothing holds the weight of a robot under a law without integral and without its model.
     weak = scenario(*IDEAL, "controller={kind: pid, ki: 0, feedforward: none, kp: 0.001, kd: 0.001}")

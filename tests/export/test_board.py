@@ -62,6 +62,22 @@ def test_a_controller_without_feedback_answers_a_robot_without_encoders(tmp_path
     assert np.abs(answer.values).max() > 0.0
 
 
+def test_a_reading_may_have_the_numbers_of_an_inertial_sensor(tmp_path):
+    sensors = {"kind": "encoders", "imu": {}}
+    scenario = load_scenario("reachy_nod").replace({"sensors": sensors, "estimator": "observer"})
+    board, controller, out = built(scenario, "nod", tmp_path), Controller(scenario), np.empty(6)
+    rows = np.loadtxt(tmp_path / "replay.csv", delimiter=",")[:20, :12].astype(np.float32)
+    for k, row in enumerate(rows):
+        imu = row[6:] if k % 3 else None
+        flags = flags_of("torque", READING, ACTIVE, MEASURED)
+        reading = encode(Packet(flags, k + 7, k, 10_000 * k, row[:6], imu))
+        controller.step(row[:6].astype(float), k * on_grid(0.01), out, imu=None if imu is None else imu.astype(float))
+        np.testing.assert_allclose(decode(answered(board, reading)).values, out.astype(np.float32), rtol=1e-6)
+    broken = bytearray(reading)
+    broken[50] ^= 1
+    assert answered(board, bytes(broken)) is None
+
+
 def test_it_takes_and_sends_angles_of_the_machine(tmp_path):
     plain = load_controller("hobby_servos").replace({"adaptation": None})
     gains, home = np.array([1.05, 0.95, 1.04, 0.96, 1.0, 1.02]), [0.3, -0.2, 0.1, 0.05, -0.4, 0.6]

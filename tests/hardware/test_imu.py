@@ -5,7 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stewart_drake import ConfigurationError, Controller, load_scenario, run
+from stewart_drake.hardware.faults import ImuFault, faulty_sensor_part
 from stewart_drake.hardware.imu import ImuOptions, imu_part
+from stewart_drake.hardware.moving_base import base_signal
+from stewart_drake.references import SineReference
 from stewart_drake.scenario.assembly import sensor_parts
 from stewart_drake.scenario.scenario import Scenario
 
@@ -13,6 +16,10 @@ STEP, GRAVITY = 0.001, 9.81
 NAMES = ("noise", "bias", "drift")
 PERFECT = {f"{what}_{name}": 0.0 for what in ("gyro", "accelerometer") for name in NAMES}
 PERFECT |= {"scale_error": 0.0, "bits": 32, "position": [0.05, -0.02, 0.03], "rotation": [0.4, -0.3, 1.2]}
+AT_REST = SineReference(center=(0.0,) * 6, amplitude=(0.0,) * 6, angular_frequency=(1.0,) * 6)
+ROLLING = SineReference(
+    center=(0.0,) * 6, amplitude=(0.3, 0.2, 0.1, 0.05, 0.2, 0.1), angular_frequency=(5.0, 4.0, 3.0, 4.0, 5.0, 6.0)
+)
 SIZES = np.array([0.2, -0.15, 0.3, 0.02, 0.03, -0.02])
 RATES = np.array([7.0, 5.0, 6.0, 9.0, 4.0, 8.0])
 
@@ -23,11 +30,11 @@ def motion(times):
     return np.concatenate([SIZES * np.sin(phase), SIZES * RATES * np.cos(phase)], axis=1)
 
 
-def readings(options, seconds=0.2, period=STEP, moving=motion):
+def readings(options, seconds=0.2, period=STEP, moving=motion, base=AT_REST):
     part = imu_part(ImuOptions.from_dict(options), GRAVITY, STEP, period)
-    state, rows = part.initial.copy(), []
-    for row in moving(STEP * np.arange(round(seconds / STEP))):
-        part.tick(row, state)
+    state, rows, times = part.initial.copy(), [], STEP * np.arange(round(seconds / STEP))
+    for row, base_motion in zip(moving(times), base_signal(base, GRAVITY, times), strict=True):
+        part.tick(row, base_motion, state)
         rows.append(state["imu"][0].copy())
     return np.array(rows)
 
@@ -36,15 +43,18 @@ def at_rest(times):
     return np.tile([0.1, -0.2, 0.3, 0.0, 0.0, 0.2, *np.zeros(6)], (len(times), 1))
 
 
-def true_values(times):
-    """Rate and specific force in the sensor's axes, by differences of its place and axes."""
+def true_values(times, base=AT_REST):
+    """Rate and specific force in the sensor's axes, by differences of its place and axes in the world."""
     place, turn = np.array(PERFECT["position"]), Rotation.from_euler("xyz", PERFECT["rotation"])
 
+    def base_axes(t):
+        return Rotation.from_euler("xyz", base.evaluate(t)[0][:, :3])
+
     def axes(t):
-        return Rotation.from_euler("xyz", motion(t)[:, :3])
+        return base_axes(t) * Rotation.from_euler("xyz", motion(t)[:, :3])
 
     def position(t):
-        return motion(t)[:, 3:6] + axes(t).apply(place)
+        return base.evaluate(t)[0][:, 3:] + base_axes(t).apply(motion(t)[:, 3:6]) + axes(t).apply(place)
 
     h = 1e-4
     acceleration = (position(times + h) - 2.0 * position(times) + position(times - h)) / h**2
@@ -53,10 +63,11 @@ def true_values(times):
     return np.concatenate([rate, sensor.inv().apply(acceleration + [0.0, 0.0, GRAVITY])], axis=1)
 
 
-def test_a_reading_is_rate_and_specific_force_of_its_place_in_the_middle_of_its_period():
-    found, middles = readings(PERFECT)[1:], STEP * np.arange(0.5, 198.6)
-    np.testing.assert_allclose(found, true_values(middles), atol=2e-4)
-    assert np.ptp(found, axis=0).min() > 0.3  # all six move
+@pytest.mark.parametrize(("base", "error"), [(AT_REST, 2e-4), (ROLLING, 5e-4)])
+def test_a_reading_is_rate_and_specific_force_of_its_place_in_the_middle_of_its_period(base, error):
+    found, middles = readings(PERFECT, base=base)[1:], STEP * np.arange(0.5, 198.6)
+    np.testing.assert_allclose(found, true_values(middles, base), atol=error)
+    assert np.ptp(found, axis=0).min() > 0.1  # all six move
 
 
 def test_a_slower_sensor_gives_the_mean_of_its_period_once_and_nan_between():
@@ -110,8 +121,42 @@ def scenario(**sensors):
 
 def test_a_late_sensor_tells_of_the_motion_before():
     parts = {part.name: part for part in sensor_parts(scenario(imu={**PERFECT, "delay": 0.003}))}
-    assert parts["imu"].connections["plant_pose"] == "imu_motion"
-    assert parts["imu_delay"].initial["pending"].shape == (1, 3, 12)
+    assert parts["imu"].connections["plant_pose"] == "imu_plant_pose"
+    assert parts["imu_plant_pose_delay"].initial["pending"].shape == (1, 3, 12)
+
+
+@pytest.mark.parametrize(("fault", "expected"), [
+    ({"kind": "nan"}, [[1.0, 2.0], [np.nan] * 2, [np.nan] * 2, [np.nan] * 2]),
+    ({"kind": "freeze"}, [[1.0, 2.0], [np.nan] * 2, [1.0, 2.0], [1.0, 2.0]]),
+    ({"kind": "freeze", "channel": "gyro", "duration": 1.5}, [[1.0, 2.0], [np.nan] * 2, [1.0, 6.0], [7.0, 8.0]]),
+    ({"kind": "jump", "channel": "accelerometer_z", "size": 0.5}, [[1.0, 2.0], [np.nan] * 2, [5.0, 6.5], [7.0, 8.5]]),
+    ({"kind": "drift", "channel": "gyro_x", "size": 0.5}, [[1.0, 2.0], [np.nan] * 2, [5.5, 6.0], [8.0, 8.0]]),
+    ({"kind": "late", "delay": 1.0}, [[1.0, 2.0], [1.0, 2.0], [np.nan] * 2, [5.0, 6.0]]),
+])  # fmt: skip
+def test_a_sensor_that_fails(fault, expected):
+    # Rows of a gyroscope and an accelerometer; there is no new reading at 1 s.
+    rows = np.array([[1.0, 2.0], [np.nan, np.nan], [5.0, 6.0], [7.0, 8.0]])
+    part = faulty_sensor_part([ImuFault.from_dict({"time": 1.0, **fault})], 6, 1.0)
+    state, found = part.initial.copy(), []
+    for time, row in enumerate(rows):
+        part.tick(row.take([0, 0, 0, 1, 1, 1]), np.array([float(time)]), state)
+        found.append(state["reading"][0, [0, 5]].copy())
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_a_model_knows_the_sensor_but_for_its_faults_and_what_it_believes_otherwise():
+    imu = {"preset": "mpu6050", "position": [0.01, 0.0, 0.0], "faults": [{"kind": "nan", "time": 1.0}]}
+    believed = (
+        Scenario.from_dict(
+            {"sensors": {"kind": "encoders", "imu": imu}, "model": {"imu": {"rotation": [0.0, 0.0, 0.1]}}}
+        )
+        .control()
+        .controller_model.imu
+    )
+    assert (believed.rotation, believed.position) == ((0.0, 0.0, 0.1), (0.01, 0.0, 0.0))
+    assert believed.gyro_range == ImuOptions.from_dict({"preset": "mpu6050"}).gyro_range
+    assert "faults" not in believed.to_dict()
+    assert "faults" not in scenario(imu=imu).controller_model.imu.to_dict()
 
 
 def test_a_preset_sets_the_defaults_of_the_others():
@@ -125,6 +170,8 @@ def test_a_preset_sets_the_defaults_of_the_others():
     ({"rotation": [90.0, 0.0, 0.0]}, "sensors.imu.rotation"),
     ({"rotation": "upside down"}, "sensors.imu.rotation"),
     ({"rotation": [0.1, 0.2]}, "sensors.imu.rotation"),
+    ({"rotation": np.eye(3).tolist()}, "sensors.imu.rotation"),
+    ({"rotation": [0.0, np.nan, 0.0]}, "sensors.imu.rotation"),
     ({"position": [0.0, 0.0, 40.0]}, "sensors.imu.position"),
     ({"period": 0.0015}, "sensors.imu.period"),
     ({"period": 0.0}, "sensors.imu.period"),
@@ -133,6 +180,11 @@ def test_a_preset_sets_the_defaults_of_the_others():
     ({"gyro_range": 0.0}, "sensors.imu.gyro_range"),
     ({"preset": "bmi8"}, "sensors.imu.preset"),
     ({"axes": "xyz"}, "sensors.imu.axes"),
+    ({"faults": [{"kind": "jump", "size": 0.1}]}, "sensors.imu.faults.0.channel"),
+    ({"faults": [{"kind": "drift", "channel": "gyro"}]}, "sensors.imu.faults.0.size"),
+    ({"faults": [{"kind": "nan", "channel": "yaw"}]}, "sensors.imu.faults.0.channel"),
+    ({"faults": [{"kind": "nan", "leg": 2}]}, "sensors.imu.faults.0.leg"),
+    ({"faults": [{"kind": "swapped"}]}, "sensors.imu.faults.0.kind"),
 ])  # fmt: skip
 def test_a_sensor_that_cannot_be_is_one_line(imu, key):
     with pytest.raises(ConfigurationError, match=key.replace(".", r"\.")) as caught:
@@ -153,12 +205,14 @@ def test_all_engines_give_the_same_readings(kind):
     def inertial(kind):
         plant = {"kind": kind, "time_step": 0.0005}
         loaded = load_scenario("exact_fig7", ["duration=0.2"])
-        sensors = {"kind": "encoders", "resolution_bits": 0, "imu": PERFECT}
+        imu = {**PERFECT, "faults": [{"kind": "jump", "channel": "gyro_z", "size": 0.5, "time": 0.1}]}
+        sensors = {"kind": "encoders", "resolution_bits": 0, "imu": imu}
         loaded = loaded.replace({"plant": plant, "sensors": sensors})
         return run(loaded)["imu"]
 
     one, other = inertial("closed_form"), inertial(kind)
     assert np.ptp(one, axis=0).max() > 0.1
+    assert one[100, 2] - one[99, 2] == pytest.approx(0.5, abs=0.01)
     np.testing.assert_allclose(other, one, atol=5e-3)
 
 
@@ -168,3 +222,14 @@ def test_a_range_that_is_too_small_is_a_warning_and_the_run_goes_on():
     log = run(loaded.replace({"sensors": {"kind": "encoders", "imu": imu}, "estimator": "observer"}))
     (told,) = (each for each in log.warnings if each["name"] == "imu_saturated")
     assert (log.status, 0.0 < told["number"] <= 1.0) == ("completed", True)
+
+
+@pytest.mark.parametrize(("period", "delay"), [(None, 0.0), (0.02, 0.01)])
+def test_a_sensor_that_dies_is_a_warning_and_a_slow_one_is_none(period, delay):
+    loaded = load_scenario("exact_fig7", ["duration=0.6", "plant.kind=closed_form"])
+    for faults in ([], [{"kind": "nan", "time": 0.3}]):
+        imu = {"period": period, "delay": delay, "faults": faults}
+        sensors = {"kind": "encoders", "imu": imu}
+        log = run(loaded.replace({"sensors": sensors, "estimator": {"kind": "observer", "imu": False}}))
+        found = [each["number"] for each in log.warnings if each["name"] == "imu_silent"]
+        assert found == ([pytest.approx(0.3, abs=0.025)] if faults else [])

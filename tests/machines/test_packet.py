@@ -170,7 +170,7 @@ def in_c(tmp_path_factory):
     source = ROOT / "stewart_drake" / "export" / "templates" / "robot_side.c"
     subprocess.run([compiler, *warned, "-shared", "-fPIC", source, "-o", library], check=True)
     loaded = ctypes.CDLL(str(library))
-    for name in ("sd_to_frame", "sd_from_frame", "sd_reading"):
+    for name in ("sd_to_frame", "sd_from_frame", "sd_reading", "sd_inertial_reading"):
         getattr(loaded, name).restype = ctypes.c_size_t
     return loaded
 
@@ -223,6 +223,11 @@ def test_c_decides_as_python_does(in_c):
     reading = decode(from_frame(frame.raw[: size - 1]))
     assert reading.flags & (wire.READING | wire.MEASURED) == wire.READING
     assert reading.values.tolist() == list(range(6))
+    inertial, numbers = ctypes.create_string_buffer(wire.LONGEST_FRAME), (ctypes.c_float * 6)(*range(6))
+    size = in_c.sd_inertial_reading(ctypes.byref(other), numbers, numbers, ctypes.c_uint64(clock), inertial)
+    again = decode(from_frame(inertial.raw[: size - 1]))
+    assert again.number == reading.number + 1
+    assert again.values.tolist() == again.imu.tolist() == list(range(6))
     pose = CPacket(
         flags=wire.flags_of("pose", wire.ACTIVE), number=other.last + 1, values=(ctypes.c_float * 6)(*[9.0] * 6)
     )
@@ -258,6 +263,8 @@ INERTIAL = st.lists(st.floats(width=32, allow_infinity=False), min_size=6, max_s
 @given(PACKETS, INERTIAL.map(np.array))
 def test_a_packet_with_inertial_readings_comes_back_and_one_without_is_as_before(packet, imu):
     data = encode(packet._replace(imu=imu))
+    example = docs_module("robot_side")
+    assert data == example.encode(packet.flags, packet.number, packet.answers, packet.microseconds, packet.values, imu)
     assert (len(data), data[2], encode(packet)[2]) == (wire.LONGEST, 2, 1)
     frame = to_frame(data)
     assert len(frame) <= wire.LONGEST_FRAME

@@ -117,6 +117,13 @@ def test_an_inertial_sensor_is_used_and_logged_and_told_where_the_controller_doe
         assert log["imu"][-1].tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 9.81]
 
 
+def test_a_sensor_that_the_controller_expects_and_the_machine_lacks_is_a_warning():
+    log = driven(Servos(), BASE.replace(INERTIAL), seconds=0.5)
+    (warning,) = (each for each in log.warnings if each["name"] == "imu_silent")
+    assert warning["text"].startswith("the inertial sensor gave no readings for")
+    assert log.status == "completed"
+
+
 def interrupted(_):
     raise KeyboardInterrupt
 

@@ -1,17 +1,20 @@
 /* The controller @SCENARIO@ on a microcontroller: readings come and commands go as the packets of docs/wire.md. C99, nothing but
    memcpy, no allocation; yours are the line, a clock and the motors' brakes.
 
-   Over UDP, for each datagram of 48 bytes:        if (board_answer(datagram, 48, now_us, answer)) send answer;
+   Over UDP, for each datagram of 48 or 72 bytes:  if (board_answer(datagram, size, now_us, answer)) send answer;
    Over a serial line, for each frame to its zero: n = board_from_frame(frame, length, packet);
                                                    if (board_answer(packet, n, now_us, answer)) {
                                                        n = board_to_frame(answer, frame); send n bytes; }
-   Every 0.1 s without a reading:                  board_ask(now_us, answer); send answer. */
+   Every 0.1 s without a reading:                  board_ask(now_us, answer); send answer.
+
+   A reading of 72 bytes has six numbers of an inertial sensor. A controller that knows one works without them as well. */
 #include "@NAME@.h"
 
+#include <math.h>
 #include <stdint.h>
 #include <string.h>
 
-enum { SIZE = 48, FRAME = SIZE + 2, READING = 1, ACTIVE = 2, MEASURED = 16, TAKES = @TAKES@ << 2 };
+enum { SIZE = 48, LARGEST = 72, FRAME = LARGEST + 2, READING = 1, ACTIVE = 2, MEASURED = 16, TAKES = @TAKES@ << 2 };
 enum { NEEDS = @NEEDS@ }; /* of a reading: measured angles, where the controller has feedback */@MACHINE@
 
 static struct @NAME@_controller controller;
@@ -40,6 +43,14 @@ static void put(uint8_t *at, uint64_t value, unsigned bytes)
 static uint32_t get(const uint8_t *at)
 {
     return (uint32_t)at[0] | (uint32_t)at[1] << 8 | (uint32_t)at[2] << 16 | (uint32_t)at[3] << 24;
+}
+
+static float get_float(const uint8_t *at)
+{
+    const uint32_t bits = get(at);
+    float value;
+    memcpy(&value, &bits, 4);
+    return value;
 }
 
 static void write_packet(int flags, const double *values, uint64_t now_us, uint8_t *out)
@@ -72,8 +83,9 @@ void board_ask(uint64_t now_us, uint8_t *out)
    that is not active: the robot holds. */
 int board_answer(const uint8_t *data, unsigned size, uint64_t now_us, uint8_t *out)
 {
-    double reading[6], reference[@UPPER@_REFERENCE], command[6] = {0.0};
-    if (size != SIZE || data[0] != 'S' || data[1] != 'D' || data[2] != 1 || get(data + 44) != crc32(data, 44)) {
+    double reading[@UPPER@_READING], reference[@UPPER@_REFERENCE], command[6] = {0.0};
+    if ((size != SIZE && size != LARGEST) || data[0] != 'S' || data[1] != 'D' || data[2] != (size == SIZE ? 1 : 2)
+        || get(data + size - 4) != crc32(data, size - 4)) {
         return 0;
     }
     if ((data[3] & 0xE0) || (data[3] & 0xC) != TAKES || (data[3] & NEEDS) != NEEDS) {
@@ -84,13 +96,14 @@ int board_answer(const uint8_t *data, unsigned size, uint64_t now_us, uint8_t *o
         return 0;
     }
     for (int k = 0; k < 6; k++) {
-        const uint32_t bits = get(data + 20 + 4 * k);
-        float value;
-        memcpy(&value, &bits, 4);
+        const float value = get_float(data + 20 + 4 * k);
         if (!(value > -12.57f && value < 12.57f)) {
             return 0;
         }
         reading[k] = @ANGLE@;
+    }
+    for (int k = 6; k < @UPPER@_READING; k++) {
+        reading[k] = size == SIZE ? NAN : (double)get_float(data + 20 + 4 * k);
     }
     if (steps < 0) {
         @NAME@_init(&controller);

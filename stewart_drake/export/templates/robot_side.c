@@ -22,16 +22,20 @@ uint32_t sd_crc32(const uint8_t *data, size_t size) {
     return ~crc;
 }
 
+static void put_floats(uint8_t *at, const float values[6]) {
+    for (int k = 0; k < 6; k++) {
+        uint32_t bits;
+        memcpy(&bits, &values[k], 4);
+        put(at + 4 * k, bits, 4);
+    }
+}
+
 void sd_encode(const sd_packet *packet, uint8_t out[SD_SIZE]) {
     out[0] = 'S', out[1] = 'D', out[2] = 1, out[3] = packet->flags;
     put(out + 4, packet->number, 4);
     put(out + 8, packet->answers, 4);
     put(out + 12, packet->microseconds, 8);
-    for (int k = 0; k < 6; k++) {
-        uint32_t bits;
-        memcpy(&bits, &packet->values[k], 4);
-        put(out + 20 + 4 * k, bits, 4);
-    }
+    put_floats(out + 20, packet->values);
     put(out + 44, sd_crc32(out, 44), 4);
 }
 
@@ -99,8 +103,7 @@ int sd_asked(const sd_side *side, uint64_t now_us) {
     return side->heard && now_us - side->heard_us <= SD_QUIET_AFTER;
 }
 
-size_t sd_reading(sd_side *side, const float angles[6], uint64_t now_us, uint8_t frame[SD_FRAME]) {
-    uint8_t bytes[SD_SIZE];
+static void write_reading(sd_side *side, const float angles[6], uint64_t now_us, uint8_t bytes[SD_SIZE]) {
     sd_packet packet;
     packet.flags = (uint8_t)(SD_READING | (side->takes << 2));
     if (side->measured) packet.flags |= SD_MEASURED;
@@ -110,5 +113,20 @@ size_t sd_reading(sd_side *side, const float angles[6], uint64_t now_us, uint8_t
     packet.microseconds = now_us;
     memcpy(packet.values, angles, sizeof packet.values);
     sd_encode(&packet, bytes);
+}
+
+size_t sd_reading(sd_side *side, const float angles[6], uint64_t now_us, uint8_t frame[SD_FRAME]) {
+    uint8_t bytes[SD_SIZE];
+    write_reading(side, angles, now_us, bytes);
     return sd_to_frame(bytes, SD_SIZE, frame);
+}
+
+size_t sd_inertial_reading(sd_side *side, const float angles[6], const float imu[6], uint64_t now_us,
+                           uint8_t frame[SD_INERTIAL_FRAME]) {
+    uint8_t bytes[SD_INERTIAL_SIZE];
+    write_reading(side, angles, now_us, bytes);
+    bytes[2] = 2;
+    put_floats(bytes + 44, imu);
+    put(bytes + 68, sd_crc32(bytes, 68), 4);
+    return sd_to_frame(bytes, SD_INERTIAL_SIZE, frame);
 }

@@ -4,7 +4,8 @@
      for every whole frame from the line:  n = sd_from_frame(frame, length, bytes);
                                            if (sd_decode(bytes, n, &packet)) sd_take(&side, &packet, now_us);
      if (sd_holds(&side, now_us))          hold: keep the last angle, or brake;    else follow side.values;
-     if (sd_asked(&side, now_us))          sd_reading(&side, angles, now_us, frame), and send what it returns. */
+     if (sd_asked(&side, now_us))          sd_reading(&side, angles, now_us, frame), and send what it returns;
+                                           with an inertial sensor on the platform sd_inertial_reading. */
 #ifndef ROBOT_SIDE_H
 #define ROBOT_SIDE_H
 
@@ -13,6 +14,8 @@
 
 #define SD_SIZE 48u               /* bytes of a packet */
 #define SD_FRAME (SD_SIZE + 2u)   /* bytes of a frame, with its zero */
+#define SD_INERTIAL_SIZE 72u      /* bytes of a reading with an inertial sensor, version 2 */
+#define SD_INERTIAL_FRAME (SD_INERTIAL_SIZE + 2u)
 #define SD_READING 1u
 #define SD_ACTIVE 2u
 #define SD_MEASURED 16u
@@ -65,6 +68,10 @@ int sd_asked(const sd_side *side, uint64_t now_us);
 
 /* A frame with six angles [rad]; returns how many of its bytes are to be sent. */
 size_t sd_reading(sd_side *side, const float angles[6], uint64_t now_us, uint8_t frame[SD_FRAME]);
+
+/* The same with rates [rad/s] and specific force [m/s^2] along the axes of an inertial sensor; NaN where not new. */
+size_t sd_inertial_reading(sd_side *side, const float angles[6], const float imu[6], uint64_t now_us,
+                           uint8_t frame[SD_INERTIAL_FRAME]);
 
 #ifdef __cplusplus
 }
