@@ -10,6 +10,7 @@ import numpy as np
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Matrix, Record, Vec2, Vec6, Vec9, record
+from stewart_drake.loop.part import LoopContext
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import inverse_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
@@ -17,6 +18,7 @@ from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import copy_to, set_to
 from stewart_drake.mechanics.singularities import WEIGHT_TRUSTED, PoseMeasures, crank_speeds, measure_pose
 from stewart_drake.robot import Gravity, RobotParameters, base_reading
+from stewart_drake.safety.actuators import ActuatorParams, actuator_params
 from stewart_drake.safety.options import (
     CRANK_SPEED,
     FOLLOWING,
@@ -44,7 +46,7 @@ _OF_ROW = np.array([(monitor, of_legs) for monitor, _, of_legs in LIMITS])
 
 TIE = 1e-6  # Difference of two legs, in any unit, below which the first leg is named.
 AT_LIMIT_TIME, TOO_FAST_TIME = 0.1, 0.01
-"""[s] total time for which commands may be at the torque limit, and may jump. Good ticks are subtracted from it."""
+"""[s] total time for which commands may be at the torque limit, and may jump, or a tick. Good ticks are subtracted from it."""
 RUNAWAY_TIME = 0.005
 """[s] for which a crank of a stopping robot may turn too fast: a reading may jump."""
 IMPACT = 0.005  # [s] longest impact, as `disturbances` has it.
@@ -69,6 +71,7 @@ class SafetyParams(Record):
     deadline: float  # [ticks]
     torque_limit: Vec6  # [N m]
     torque_change: float  # [N m] in a tick.
+    jump_time: float  # [s] for which commands may jump.
     workspace: Vec2  # [rad, m]
     transmission: float
     conditioning: float
@@ -84,6 +87,7 @@ class SafetyParams(Record):
     most_speed: float  # [rad/s] of a crank at which a stop is given up.
     still: StillParams
     residual: ResidualParams
+    actuators: ActuatorParams
 
 
 class Observed(PoseMeasures):
@@ -97,35 +101,54 @@ class Observed(PoseMeasures):
 
 
 def safety_params(
-    robot: RobotParameters, options: SafetyOptions, gravity: Gravity, period: float, noise: float = NOISE
+    robot: RobotParameters,
+    options: SafetyOptions,
+    gravity: Gravity,
+    period: float,
+    noise: float = NOISE,
+    context: LoopContext | None = None,
 ) -> SafetyParams:
-    """The parameters of the layer, for ticks of a period [s] and noise [rad] of a crank's angle."""
-    rate, share = options.torque_rate, options.torque_limit
-    residual = _residual_params(robot, options, gravity, period, noise)
+    """The parameters of the layer, for ticks of a period [s] and noise [rad] of a crank's angle.
+
+    Without a `context` motors take torques.
+    """
+    actuators = actuator_params(robot, options, context)
+    rate, share, limits = options.torque_rate, options.torque_limit, actuators["limit"][0]
+    residual = _residual_params(robot, options, gravity, period, noise, actuators)
+    change = math.inf if rate is None else rate * period
+    if actuators["holds"][0]:
+        change = 0.0 if actuators["follows"][0] else min(change, 2.0 * limits.max())
     return SafetyParams.new(
         options,
         period=period,
         base=base_reading(gravity),
         home=robot.home_pose,
-        torque_limit=(math.inf if share is None else share) * robot.effort_limits,
-        torque_change=math.inf if rate is None else rate * period,
+        torque_limit=(math.inf if share is None else share) * limits,
+        torque_change=change,
+        jump_time=max(TOO_FAST_TIME, period),
         transmission=-math.inf if options.transmission is None else options.transmission,
         conditioning=-math.inf if options.conditioning is None else options.conditioning,
         impact=IMPACT / period + 2.0 * residual["half"][0] + 1e-6,
         suspect_hold_time=min(SUSPECT_HOLD, options.ramp_time + options.safe_hold_time),
         stopping=max(STOPPING, STOPPING_TICKS * period),
         budget=options.budget(period),
-        most_torque=(1.0 if share is None else share) * robot.effort_limits,
+        most_torque=(1.0 if share is None else share) * limits,
         most_speed=RUNAWAY * (FASTEST if options.crank_speed is None else options.crank_speed),
         still=still_params(period, options.standstill, options.frozen),
         residual=residual,
+        actuators=actuators,
     )
 
 
 def _residual_params(
-    robot: RobotParameters, options: SafetyOptions, gravity: Gravity, period: float, noise: float
+    robot: RobotParameters,
+    options: SafetyOptions,
+    gravity: Gravity,
+    period: float,
+    noise: float,
+    actuators: ActuatorParams,
 ) -> ResidualParams:
-    bound = (math.inf if options.unexplained_torque is None else options.unexplained_torque) * robot.effort_limits
+    bound = (math.inf if options.unexplained_torque is None else options.unexplained_torque) * actuators["limit"][0]
     inertia = np.linalg.inv(pose_jacobian(robot, robot.home_pose) @ pose_acceleration_map(robot, robot.home_pose))
     # A second difference of noise has sqrt(6) times its size, over the square of half the window.
     largest = np.linalg.norm(inertia, axis=1).max() * math.sqrt(6.0) * noise
@@ -134,6 +157,8 @@ def _residual_params(
         period=period,
         base=base_reading(gravity),
         half=half,
+        # Torques count a tick late; a servo's depends on the angle, so a tick matters.
+        first=0.0 if actuators["holds"][0] else 1.0,
         unexplained=bound,
         unexplained_alone=ONE_LEG_SHARE * bound.min(),
         filter_share=min(0.5, period / FILTER_TIME),

@@ -133,6 +133,13 @@ def servo_gain_error(scenario: Scenario) -> np.ndarray:
     return np.asarray(scenario.robot.servo_gains / scenario.controller_model.robot.servo_gains)
 
 
+def _delayed(parts: list[Part], command: str, steps: int, first: np.ndarray, name: str, period: float) -> str:
+    """Adds a delay of a number of steps of a period [s]; the name of the delayed signal."""
+    delay = delay_part(steps, first, name)._replace(period=period)
+    parts.append(delay.connected(value=command).named(value=name))
+    return name
+
+
 def command_path(
     scenario: Scenario, command: str, first: np.ndarray, period: float, safety: Part | None = None, bus: bool = True
 ) -> list[Part]:
@@ -141,13 +148,10 @@ def command_path(
     Until the first command arrives it is `first` (6,). Without `bus` there are the motors alone, with their dead time.
     """
     parts: list[Part] = []
-    tick, step, age = scenario.controller.period, scenario.plant.time_step, {}
-    dead, late = scenario.motors.dead_time, scenario.command_delay * tick if bus else 0.0
-    for name, ticks, clock in (("command_delay", late / period, period), ("motor_delay", dead / step, step)):
-        if round(ticks) > 0:
-            delay = delay_part(round(ticks), first, name)._replace(period=clock)
-            parts.append(delay.connected(value=command).named(value=name))
-            command = name
+    tick, step, age = scenario.controller.period, scenario.plant.time_step, dict[str, str]()
+    late = scenario.command_delay * tick / period if bus else 0.0
+    if round(late) > 0:
+        command = _delayed(parts, command, round(late), first, "command_delay", period)
     if bus and not scenario.link.perfect:
         parts.append(scenario.link.part(tick, step, first).connected(torque=command).named(torque="arrived"))
         command, age = "arrived", {"age": "age"}
@@ -159,6 +163,8 @@ def command_path(
         finite = FINITE._replace(constants={"what": scenario.motors.command_quantity}, period=step)
         parts.append(finite.connected(command=command))
         command = "checked"
+    if (dead := round(scenario.motors.dead_time / step)) > 0:
+        command = _delayed(parts, command, dead, first, "motor_delay", step)
     gain = servo_gain_error(scenario)
     if scenario.motors.holds and (gain != 1.0).any():
         parts.append(scaled(gain, command, "turned_command")._replace(period=step))
