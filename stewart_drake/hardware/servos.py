@@ -306,7 +306,8 @@ def servo_tick(params: ServoParams, command: Vec6, crank_state: Vec12, state: Se
                 angle = params.count * np.rint(angle / params.count)
             error = wanted - angle
             error -= 2.0 * np.pi * np.rint(error / (2.0 * np.pi))
-            if abs(error) <= params.dead_band:
+            # Without a reading a servo does nothing.
+            if abs(error) <= params.dead_band or np.isnan(angle):
                 error = 0.0
             error -= min(max(error, -params.play), params.play)
             state.drive[i] = min(max(params.stiffness[i] * error, -params.limit[i]), params.limit[i])

@@ -44,6 +44,7 @@ class ActuatorState(Record):
     torque: Vec6  # [N m] mean of the last tick.
     doubt: Vec6  # [N m] by which it may be wrong.
     cranks: Vec6  # [rad] read in the last tick.
+    turn: Vec6  # [rad] by which they turned in it.
     sent: Annotated[np.ndarray, (ROWS, 6)]  # Commands, newest first; used where they are angles.
 
 
@@ -72,12 +73,16 @@ def _turn(angle: float) -> float:
 
 
 @njit
-def torques_asked(gain: Vec6, params: ActuatorParams, command: Vec6, cranks: Vec6, out: Vec6) -> None:
-    """Torques (6,) [N m] that a command asks for at angles of the cranks, beyond any limit; 0 where none is read."""
+def torques_asked(gain: Vec6, params: ActuatorParams, command: Vec6, state: ActuatorState, out: Vec6) -> None:
+    """Torques (6,) [N m] that a command asks for, beyond any limit; 0 where a crank is not read.
+
+    A commanded angle counts from where its crank will be in the middle of the tick in which it acts.
+    """
     for i in range(6):
         out[i] = gain[i] * command[i]
         if params.holds > 0.0:
-            out[i] = gain[i] * _turn(command[i] - cranks[i]) if np.isfinite(cranks[i]) else 0.0
+            angle = state.cranks[i] + (params.late + 0.5) * state.turn[i]
+            out[i] = gain[i] * _turn(command[i] - angle) if np.isfinite(angle) else 0.0
 
 
 @njit
@@ -101,7 +106,9 @@ def update_torques(
     older = late - row
     for i in range(6):
         turn = _turn(cranks[i] - state.cranks[i])
+        state.turn[i] = 0.0
         if np.isfinite(turn):
+            state.turn[i] = turn
             change = state.sent[row, i] - state.sent[row + 1, i]
             error = _turn(state.sent[row, i] - older * change - cranks[i] + 0.5 * turn)
             drive = min(max(gain[i] * error, -params.limit[i]), params.limit[i])

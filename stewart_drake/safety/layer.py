@@ -178,7 +178,7 @@ def safety_tick(
     if residual.encoders == 0.0 and readings_of(angles) == 0:
         cranks_at(robot, read, legs, cranks)
     update_torques(gain, params.actuators, params.period, state.torque[:], cranks, torque)
-    torques_asked(gain, params.actuators, command, cranks, asked)
+    torques_asked(gain, params.actuators, command, torque, asked)
     update_residual(
         robot,
         friction,
@@ -347,12 +347,13 @@ def _pass_on(
 def _plan_rest(gain: Vec6, params: SafetyParams, command: Vec6, cranks: Vec6, state: SafetyState) -> None:
     """Angles at which servos would come to rest from a command; `state.good` is that of the tick before.
 
-    Without feedback they go on along their path as far as they go in half of the ramp. With feedback a command has an
-    angle for a torque that is not to last: they stay where they are, but for the angle that carries the weight.
+    Without feedback they go on along their path as far as they go in half of the ramp; a command is ahead of its crank
+    by the servo's damping. With feedback a command has an angle for a torque that is not to last: they stay where they
+    are, but for the angle that carries the weight. No reading moves a servo otherwise.
     """
-    ticks = 0.5 * params.ramp_time / params.period if state.ticks > 1.0 else 0.0
     for i in range(6):
-        state.rest[i] = command[i] + ticks * (command[i] - state.good[i])
+        speed = (command[i] - state.good[i]) / params.period if state.ticks > 1.0 else 0.0
+        state.rest[i] = command[i] + (0.5 * params.ramp_time - params.actuators.damping / gain[i]) * speed
         if params.actuators.follows == 0.0:
             state.rest[i] = cranks[i] + state.weight[i] / gain[i] if np.isfinite(cranks[i]) else command[i]
 
@@ -384,8 +385,7 @@ def _stop(
     All modes decay with the time constant `params.stopping`. A leg with a suspect reading is damped by the speed that
     torques alone give. That is good for a short time, as it is for a robot with a faulty motor.
 
-    Servos go from the last good angles to rest. They then hold themselves, readings or not, for the whole time, unless
-    parity has found that a servo's sensor is wrong.
+    Servos go from the last good angles to rest, where they hold themselves, with readings or without.
     """
     state.stop_ticks += 1.0
     residual, holds = state.residual, params.actuators.holds > 0.0
@@ -401,7 +401,7 @@ def _stop(
     state.runaway_ticks = _counted(state.runaway_ticks, fastest > params.most_speed)
     if state.runaway_ticks * params.period > RUNAWAY_TIME + _ROUNDING:
         return RUNAWAY, fastest
-    is_whole = not any_nonzero(residual.suspect[:]) or (holds and state.safety.monitor != PARITY)
+    is_whole = not any_nonzero(residual.suspect[:])
     hold = params.ramp_time + params.safe_hold_time if is_whole else params.suspect_hold_time
     if elapsed > hold + _ROUNDING:
         return HOLD_OVER, 0.0

@@ -89,8 +89,7 @@ class SafetyOptions(Section, key="safety"):
     ramp_time: Positive = 0.02
     """[s] time from the last good command to the safe hold; short, because that command may have been wrong."""
     safe_hold_time: Positive = 0.5
-    """[s] duration of a safe hold, after which the run ends; a stop with a suspect leg ends after 40 ms, unless motors
-    take angles and so hold it by themselves."""
+    """[s] duration of a safe hold, after which the run ends; a stop with a suspect leg ends after 40 ms."""
     monitors: tuple[Annotated[Any, OWN_MONITORS], ...] = ()
     """Your monitors, classes by their import paths, see `UserMonitor`."""
 

@@ -29,7 +29,7 @@ from stewart_drake.safety.layer import (
     safety_tick,
 )
 from stewart_drake.safety.limits import SUSPECT_HOLD, Observed, SafetyParams, safety_params
-from stewart_drake.safety.options import MEANINGS, MONITORS, NO_TRIP, PARITY, SafetyInputs, SafetyOptions
+from stewart_drake.safety.options import MEANINGS, MONITORS, NO_TRIP, SafetyInputs, SafetyOptions
 from stewart_drake.safety.residual import ResidualState
 
 
@@ -95,8 +95,7 @@ def _stopped(options: SafetyOptions, period: float, result: Any, arguments: Mapp
     (status, fastest), state = result, arguments["state"]
     names, status_now = options.monitor_names, state["safety"][0]
     name, leg = names[int(status_now["monitor"])], status_now["leg"]
-    holds = arguments["params"]["actuators"]["holds"].any() and name != MONITORS[PARITY]
-    longest = SUSPECT_HOLD if state["residual"]["suspect"].any() and not holds else np.inf
+    longest = SUSPECT_HOLD if state["residual"]["suspect"].any() else np.inf
     what = {
         BLIND: "stopped: no measurement to hold the robot by",
         RUNAWAY: f"stopping, but a crank turns at {fastest:.3g} rad/s",

@@ -16,6 +16,7 @@ from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.imu import imu_parts
 from stewart_drake.hardware.motors import delay_part
 from stewart_drake.hardware.moving_base import base_signal
+from stewart_drake.hardware.sensors import faulty_sensor_part
 from stewart_drake.loop.part import NOTHING, Part
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.scenario.control_side import Source, context_of, control_side
@@ -169,5 +170,11 @@ def command_path(
     if scenario.motors.holds and (gain != 1.0).any():
         parts.append(scaled(gain, command, "turned_command")._replace(period=step))
         command = "turned_command"
-    motors = scenario.motors.part(scenario.robot, step)
-    return [*parts, motors.connected(command=command).named(torque="motor_torque")]
+    motors = scenario.motors.part(scenario.robot, step).connected(command=command).named(torque="motor_torque")
+    if faults := [fault for fault in scenario.sensors.faults if getattr(fault, "in_servo", False)]:
+        # Angles (6,) alone, not their rates.
+        of_legs = [f.replace(leg=leg) for f in faults for leg in (range(6) if f.leg is None else (f.leg,))]
+        sensor = faulty_sensor_part(of_legs, 12, step)._replace(name="servo_sensors", period=step)
+        parts.append(sensor.connected(reading="crank_state").named(reading="servo_state"))
+        motors = motors.connected(crank_state="servo_state")
+    return [*parts, motors]
