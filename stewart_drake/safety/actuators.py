@@ -102,15 +102,15 @@ def update_torques(
         copy_to(state.sent[row], state.sent[row - 1])
     copy_to(state.sent[0], command)
     late = min(params.late, MOST_LATE)
-    row = int(late)
-    older = late - row
+    newest = int(late)
+    older = late - newest
     for i in range(6):
         turn = _turn(cranks[i] - state.cranks[i])
         state.turn[i] = 0.0
         if np.isfinite(turn):
             state.turn[i] = turn
-            change = state.sent[row, i] - state.sent[row + 1, i]
-            error = _turn(state.sent[row, i] - older * change - cranks[i] + 0.5 * turn)
+            change = state.sent[newest, i] - state.sent[newest + 1, i]
+            error = _turn(state.sent[newest, i] - older * change - cranks[i] + 0.5 * turn)
             drive = min(max(gain[i] * error, -params.limit[i]), params.limit[i])
             loss = params.damping * turn / period
             state.torque[i] = drive - loss

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -32,6 +32,9 @@ from stewart_drake.safety.options import (
 )
 from stewart_drake.safety.residual import LONGEST_HALF, ONE_LEG_SHARE, ResidualParams
 from stewart_drake.safety.stillness import StillParams, still_params
+
+if TYPE_CHECKING:
+    from stewart_drake.hardware.motors import MotorOptions
 
 LIMITS = (
     (WORKSPACE, "workspace", False),
@@ -289,19 +292,29 @@ def refuse_motion(
     gravity: Gravity,
     time: np.ndarray,
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    motors: MotorOptions | None = None,
 ) -> None:
-    """Refuses a motion (n, 6) with two derivatives that would trip a monitor if it were followed without error."""
+    """Refuses a motion (n, 6) with two derivatives that would trip a monitor if it were followed without error.
+
+    Without `motors` they take torques.
+    """
     pose, rate, _ = motion
-    inverse_kinematics(robot, pose)
+    angles = np.unwrap(inverse_kinematics(robot, pose), axis=0)
     _, start = _margins(robot, options, pose[:1], rate[:1], pose[:1])
     margins, _ = _margins(robot, options, pose, rate, pose, start)
     for row, (_, key, of_legs) in enumerate(LIMITS):
         _refuse(key, getattr(options, key), margins[:, row] if of_legs else margins[:, row, :1], time)
     torque, step = inverse_dynamics(robot, *motion, gravity), np.diff(time, prepend=2.0 * time[0] - time[1])
-    change = np.abs(np.diff(torque, axis=0, prepend=torque[:1])) / step[:, None]
+    limits, fast, per_second, sent = robot.effort_limits, "torque_rate", "N m/s", torque
+    if motors is not None:
+        limits = motors.limits(robot)
+    if motors is not None and motors.holds:
+        fast, per_second = "crank_speed", "rad/s"
+        sent = angles + (torque + getattr(motors, "damping", 0.0) * np.gradient(angles, time, axis=0)) / motors.gains
+    change = np.abs(np.diff(sent, axis=0, prepend=sent[:1])) / step[:, None]
     for key, unit, size, scale, longest in (
-        ("torque_limit", "N m", np.abs(torque), robot.effort_limits, AT_LIMIT_TIME),
-        ("torque_rate", "N m/s", change, np.ones(6), TOO_FAST_TIME),
+        ("torque_limit", "N m", np.abs(torque), limits, AT_LIMIT_TIME),
+        (fast, per_second, change, np.ones(6), TOO_FAST_TIME),
     ):
         given = getattr(options, key)
         limit = np.inf if given is None else given * scale

@@ -153,9 +153,7 @@ def update_residual(
 
 
 @njit
-def _store(
-    robot: Robot, half: int, angles: Vec6, pose: Vec6, torque: Vec6, doubt: Vec6, state: ResidualState
-) -> None:
+def _store(robot: Robot, half: int, angles: Vec6, pose: Vec6, torque: Vec6, doubt: Vec6, state: ResidualState) -> None:
     """Stores the pose of the readings, NaN where there is none, and the torques that were sent."""
     for row in range(2 * half, 0, -1):
         copy_to(state.poses[row], state.poses[row - 1])
