@@ -94,7 +94,7 @@ class AdaptationOptions(Section, ABC, key="adaptation"):
         "friction": ("observer.friction", "friction_compensation.friction", "safety.friction"),
         "friction_unknown": ("safety.friction_unknown",),
         "coulomb_uncertainty": ("controller.coulomb_uncertainty",),
-        "gain": ("servo_command.gain", "motor_current.gain"),
+        "gain": ("servo_command.gain", "motor_current.gain", "safety.gain"),
         "command_lead": ("reference_lead.command_lead",),
         "joints": ("friction_compensation.joints",),
     }

@@ -82,7 +82,7 @@ def controller_files(options: ControlOptions, name: str, prefix: str = "") -> di
     if size == 6:
         words["MEANING"] = "the newest target, a pose [rad, m], which is kept within the limits; NaN for none"
     words |= {"TAKES": str({"rad": 0, "N m": 1, "A": 2}[side.unit]), "ROWS": str(ticks)}
-    words |= {"NEEDS": "READING | MEASURED" if side.context.feedback else "READING"}
+    words |= {"NEEDS": "READING | MEASURED" if side.context.feedback or side.safety else "READING"}
     words |= _machine_words(options, reads_angles)
     words["MEANS"] = "angles of the cranks [rad]" if reads_angles else "pose [rad, m] and its rate"
     words |= {"BOUND": f"{prefix.upper()}_READING", "INERTIAL": ""}

@@ -156,6 +156,9 @@ class EncoderFault(LegFault, key="sensors.faults"):
     slipped counts. late: gives its reading of `delay` ago. drift: is off by `size` more each second. reversed: counts
     backwards from its last good reading. inverted: gives the negative angle. swapped: `leg` and `other` give each
     other's angle."""
+    in_servo: bool = False
+    """Where motors take angles: true for a fault of the servo's own sensor, which misleads its position loop too, so
+    that it turns the crank; without a reading it gives no torque. false for one on the way to the controller."""
 
 
 class PoseFault(LegFault, key="sensors.faults"):

@@ -215,6 +215,10 @@ class MotorOptions(Section, ABC, key="motors"):
         """Torque (n, 6) [N m] in the signals of a run: the command, or for servos that of their position loops."""
         return signals.get("torque" if self.by_torque else "torque_applied")
 
+    def limits(self, robot: RobotParameters) -> np.ndarray:
+        """(6,) [N m] largest torques at rest."""
+        return robot.effort_limits
+
     def available(self, robot: RobotParameters, rates: np.ndarray) -> np.ndarray:
         """Largest torque (..., 6) [N m] of motors at rates (..., 6) [rad/s]; negative if they can only brake."""
         return np.broadcast_to(robot.effort_limits, rates.shape)
@@ -235,6 +239,11 @@ class MotorOptions(Section, ABC, key="motors"):
     @property
     def dead_time(self) -> float:
         """[s] from the arrival of a command to its effect."""
+        return 0.0
+
+    @property
+    def slack(self) -> float:
+        """[rad] by which an angle may differ from its command without a torque, if commands are angles."""
         return 0.0
 
     @property

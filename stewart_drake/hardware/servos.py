@@ -12,12 +12,12 @@ from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.config import Natural, NotNegative, Positive, Text, one_for_six
 from stewart_drake.base.errors import ConfigurationError, Status
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Record, TickResult, Vec6, Vec12, Vec18, record
+from stewart_drake.base.records import Record, TickResult, Vec2, Vec6, Vec12, Vec18, record
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.hardware.motors import Command, MotorOptions, Torque
 from stewart_drake.hardware.presets import PRESETS, Preset, Presets
 from stewart_drake.hardware.rounding import rounding_part
-from stewart_drake.loop.part import LoopContext, Part
+from stewart_drake.loop.part import HEALTHY, LoopContext, Part
 from stewart_drake.mechanics.dynamics import crank_inertia
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.mechanics.kinematics_laws import (
@@ -67,7 +67,6 @@ class _CommercialMotors(MotorOptions):
         return PRESETS.get(getattr(self, "preset", None) or "")
 
     def limits(self, robot: RobotParameters) -> np.ndarray:
-        """(6,) [N m] largest torques at rest."""
         most = np.inf if self.torque_limit is None else self.torque_limit
         return np.asarray(np.minimum(robot.effort_limits, most))
 
@@ -134,6 +133,11 @@ class PositionServos(_CommercialMotors):
         return 0.0 if self.resolution_bits is None else 2.0 * math.pi / 2**self.resolution_bits
 
     @property
+    def slack(self) -> float:
+        """Dead band, half of the play, and half a count of the command and of the servo's reading."""
+        return self.dead_band + 0.5 * self.backlash + self.count
+
+    @property
     def gains(self) -> np.ndarray:
         return self.supply * self.stiffness * np.array(self.ratios)
 
@@ -176,7 +180,7 @@ class PositionServos(_CommercialMotors):
     def inverse_parts(self, context: LoopContext) -> tuple[Part, ...]:
         params = InverseServoParams.new(self, play=0.5 * self.backlash, feedback=float(context.feedback))
         numbers = {"robot": robot_record(context.robot), "gain": self.gains, "params": params}
-        first = Command.new(command=self.initial_command(context))
+        first = ServoCommand.new(command=self.initial_command(context), health=HEALTHY)
         inputs = {"torque": 6, "measurement": 12, "reference": 18}
         pose = "measurement" if context.feedback else "reference"
         statuses = {UNREACHABLE: Status("unreachable_pose", pose, of_leg=True)}
@@ -266,6 +270,13 @@ class ServoState(Record):
     steps: float  # Done.
 
 
+class ServoCommand(Record):
+    """State of `servo_command`."""
+
+    command: Vec6  # [rad]
+    health: Vec2
+
+
 class InverseServoParams(Record):
     """`PositionServos` in the controller's model."""
 
@@ -295,7 +306,8 @@ def servo_tick(params: ServoParams, command: Vec6, crank_state: Vec12, state: Se
                 angle = params.count * np.rint(angle / params.count)
             error = wanted - angle
             error -= 2.0 * np.pi * np.rint(error / (2.0 * np.pi))
-            if abs(error) <= params.dead_band:
+            # Without a reading a servo does nothing.
+            if abs(error) <= params.dead_band or np.isnan(angle):
                 error = 0.0
             error -= min(max(error, -params.play), params.play)
             state.drive[i] = min(max(params.stiffness[i] * error, -params.limit[i]), params.limit[i])
@@ -344,7 +356,7 @@ def servo_command(
     measurement: Vec12,
     reference: Vec18,
     legs: Legs,
-    state: Command,
+    state: ServoCommand,
 ) -> TickResult:
     """Angles [rad] at which servos of gains [N m/rad] give torques [N m] at the measurement or the reference."""
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)

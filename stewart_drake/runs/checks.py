@@ -297,13 +297,14 @@ def likely_cause(scenario: Scenario, ended: float) -> str:
 
 def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
     """Refuses a motion that the safety layer would stop without any fault."""
-    robot, gravity, *_ = scenario.controller_model
+    model = scenario.controller_model
+    robot, gravity = model.robot, model.gravity
     try:
         with user_code(scenario), np.errstate(all="ignore"):
             time = sample_times(scenario.duration, scenario.controller.period)
             _check_parity(scenario, safety.parity, time)
             motion = scenario.asked.evaluate(time)
-            refuse_motion(robot, safety, gravity, time, motion)
+            refuse_motion(robot, safety, gravity, time, motion, model.motors)
             refuse_start(robot, safety, gravity, *scenario.start(), motion[0][0])
     except ControllerError as error:
         names = ", ".join(safety.monitor_names)

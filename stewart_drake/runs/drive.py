@@ -69,7 +69,7 @@ def connected(
 
     Raises:
         ConfigurationError: `seconds` is out of range; the machine takes other commands than the model's motors, has
-            another rate, or measures no angles to learn from; the model's robot cannot have its angles; the approach
+            another rate, or measures no angles to learn from or to check; the model's robot cannot have its angles; the approach
             leaves the limits.
         MachineError: It cannot be reached.
     """
@@ -82,6 +82,8 @@ def connected(
     machine.connect()
     if (adaptation := scenario.adaptation) and not machine.reads and not getattr(adaptation, "frozen", False):
         raise ConfigurationError("adaptation", adaptation.kind, "null: this machine does not tell its angles")
+    if scenario.safety is not None and not machine.reads:
+        raise ConfigurationError("safety", "a layer", "null: this machine does not tell its angles, which it compares")
     low, high = PERIOD_RATIO_SERVOS if model.motors.holds else PERIOD_RATIO
     if machine.paced and machine.period is not None and not low * period < machine.period < high * period:
         allowed = f"about {machine.period:.4g} s, that of the machine, which sets the pace"
@@ -401,7 +403,7 @@ class Drive:
 
     def _step_missed(self, tick: int) -> None:
         """Steps through the lost ticks without a reading; otherwise the estimated rate would be too large."""
-        if self._rows and self.scenario.controller.feedback:
+        if self._rows and (self.scenario.controller.feedback or self.scenario.safety is not None):
             first, limit = self._last_tick + 1, getattr(self.scenario.estimator, "hold_ticks", 0)
             for missed in range(max(first, tick - limit), tick):
                 at = self._now + (missed - self._last_tick) * self._clock.tick

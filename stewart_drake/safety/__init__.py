@@ -8,7 +8,7 @@ run ends. Torque and torque-rate limits with a named stop follow libfranka (`lim
 from stewart_drake.safety.layer import HOLD, LEVELS, NONE, NOT_THERE, RAMP, SAFE_HOLD
 from stewart_drake.safety.limits import refuse_motion, refuse_start, sample_times
 from stewart_drake.safety.options import MONITORS, SafetyInputs, SafetyOptions
-from stewart_drake.safety.part import first_trip, safety_part
+from stewart_drake.safety.part import first_trip, later, safety_part
 from stewart_drake.safety.stillness import Stillness, first_standstill, standstill_text
 
 __all__ = [
@@ -24,6 +24,7 @@ __all__ = [
     "Stillness",
     "first_standstill",
     "first_trip",
+    "later",
     "refuse_motion",
     "refuse_start",
     "safety_part",

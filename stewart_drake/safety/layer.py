@@ -12,10 +12,10 @@ from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import all_finite, any_nonzero, copy_to, set_to, solve
 from stewart_drake.mechanics.singularities import WEIGHT_TRUSTED
+from stewart_drake.safety.actuators import ActuatorState, torques_asked, update_torques
 from stewart_drake.safety.limits import (
     AT_LIMIT_TIME,
     RUNAWAY_TIME,
-    TOO_FAST_TIME,
     Observed,
     SafetyParams,
     broken,
@@ -23,6 +23,7 @@ from stewart_drake.safety.limits import (
     observe,
 )
 from stewart_drake.safety.options import (
+    ANGLE_RATE,
     COMMAND,
     CONTROLLER,
     DEADLINE,
@@ -75,11 +76,12 @@ class Trip(Record):
 
 
 class SafetyState(Record):
-    """State of the safety layer. Counts of bad ticks are less those of good ones."""
+    """State of the safety layer, commands in the motors' unit. Counts of bad ticks are less those of good ones."""
 
-    torque: Vec6  # [N m] for the motors.
+    torque: Vec6  # Command for the motors.
     safety: SafetyStatus
-    good: Vec6  # [N m] last command that no limit touched.
+    good: Vec6  # Last command that no limit touched.
+    rest: Vec6  # [rad] angles that then would have brought servos to rest.
     weight: Vec6  # [N m] last torque that carried the robot's weight.
     hold_used: float  # Ticks of holding, less those given back; while stopping, ticks without a measurement.
     at_limit: float  # Ticks at the torque limit.
@@ -91,7 +93,8 @@ class SafetyState(Record):
     ticks: float  # Number of ticks so far.
     first: Trip
     worst: float  # Highest level so far.
-    command: Vec6  # [N m] of the last tick in which it was finite.
+    command: Vec6  # Of the last tick in which it was finite.
+    actuators: ActuatorState
     residual: ResidualState
     still: StillState
 
@@ -114,9 +117,12 @@ def _whole(value: float) -> int:
 
 @njit
 def _unusable(
-    params: SafetyParams, command: Vec6, is_measured: bool, age: float, sensor: Vec2, controller: Vec2
+    params: SafetyParams, command: Vec6, asked: Vec6, is_measured: bool, age: float, sensor: Vec2, controller: Vec2
 ) -> tuple[int, int, int]:
-    """What is wrong with the messages of a tick, not their contents: monitor or `NO_TRIP`, leg or -1, cause or 0."""
+    """What is wrong with the messages of a tick, not their contents: monitor or `NO_TRIP`, leg or -1, cause or 0.
+
+    `asked` (6,) [N m] are the torques of the command.
+    """
     if not is_measured:
         return MEASUREMENT, -1, 0
     if sensor[0] != 0.0:
@@ -127,7 +133,7 @@ def _unusable(
     for i in range(6):
         if not np.isfinite(command[i]):
             return COMMAND, i, 0
-        share = abs(command[i]) / params.torque_limit[i]
+        share = abs(asked[i]) / params.torque_limit[i]
         if share > largest:
             largest, leg = share, i
     if not age <= params.deadline:
@@ -142,6 +148,7 @@ def safety_tick(
     robot: Robot,
     friction: Friction,
     friction_unknown: Friction,
+    gain: Vec6,
     params: SafetyParams,
     user_trip: Vec2,
     command: Vec6,
@@ -159,21 +166,34 @@ def safety_tick(
 ) -> tuple[int, float]:
     """One tick; `user_trip` has the number of a user's monitor that trips, 0 for none, and its leg.
 
+    `gain` (6,) are the motors' torques [N m] per unit of a command.
+
     Returns:
         CONTINUE, BLIND, RUNAWAY or HOLD_OVER; speed of the fastest crank [rad/s].
     """
     robot, friction, params = record(robot), record(friction), record(params)
     legs, observed, state = record(legs), record(observed), record(state)
     read, residual = pose_reading[:6] if pose_reading[0] == pose_reading[0] else measurement[:6], state.residual
-    is_first, torque = state.ticks == 0.0, state.torque[:]
+    is_first, cranks, torque, asked = state.ticks == 0.0, angles.copy(), state.actuators, np.empty(6)
+    if residual.encoders == 0.0 and readings_of(angles) == 0:
+        cranks_at(robot, read, legs, cranks)
+    update_torques(gain, params.actuators, params.period, state.torque[:], cranks, torque)
+    torques_asked(gain, params.actuators, command, torque, asked)
     update_residual(
-        robot, friction, record(friction_unknown), params.residual, angles, read, torque, is_first, residual, legs
+        robot,
+        friction,
+        record(friction_unknown),
+        params.residual,
+        angles,
+        read,
+        torque.torque[:],
+        torque.doubt[:],
+        is_first,
+        residual,
+        legs,
     )
     unexplained = is_unexplained(params.residual, residual)
     state.unexplained_ticks = _counted(state.unexplained_ticks, unexplained)
-    cranks = angles.copy()
-    if residual.encoders == 0.0:
-        cranks_at(robot, read, legs, cranks)
     still, standing = watch(robot, params.still, cranks, reference[:6], legs, state.still)
     state.ticks += 1.0
     is_measured = _is_finite(params, measurement)
@@ -181,7 +201,7 @@ def safety_tick(
     if is_observed:
         _observe(robot, params, measurement, reference, legs, observed, state)
     if state.safety.level >= RAMP:
-        return _stop(params, is_observed, unexplained, angles, state)
+        return _stop(gain, params, is_observed, unexplained, angles, state)
     # No impact repeats readings to the last bit while the reference moves.
     blind = state.still.repeats >= LEAST_REPEATS
     monitor, level, leg, cause = NO_TRIP, RAMP, -1, 0
@@ -197,19 +217,19 @@ def safety_tick(
         monitor, leg = PARITY, int(parity[1])
     if monitor == NO_TRIP:
         level = HOLD
-        monitor, leg, cause = _unusable(params, command, is_measured, age[0], sensor, controller)
+        monitor, leg, cause = _unusable(params, command, asked, is_measured, age[0], sensor, controller)
     if monitor == NO_TRIP:
         level = RAMP
         if is_observed and user_trip[0] > 0.0:
             monitor, leg = int(user_trip[0]), int(user_trip[1])
         else:
-            monitor, leg = _pass_on(params, command, state)
+            monitor, leg = _pass_on(gain, params, command, asked, cranks, state)
     if monitor == NO_TRIP:
         return CONTINUE, 0.0
     level = _react(params, monitor, level, leg, cause, blind, unexplained, state)
     if level == RAMP:
-        return _stop(params, is_observed, unexplained, angles, state)
-    _approach(params, state.good[:], state)
+        return _stop(gain, params, is_observed, unexplained, angles, state)
+    _approach(gain, params, state.good[:], state)
     return CONTINUE, 0.0
 
 
@@ -276,32 +296,47 @@ def _react(
 
 
 @njit
+def readings_of(angles: Vec6) -> int:
+    """Number of cranks that are read."""
+    count = 0
+    for i in range(6):
+        count += 1 if np.isfinite(angles[i]) else 0
+    return count
+
+
+@njit
 def _counted(ticks: float, bad: bool) -> float:
     return max(0.0, ticks + (1.0 if bad else -1.0))
 
 
 @njit
-def _pass_on(params: SafetyParams, command: Vec6, state: SafetyState) -> tuple[int, int]:
-    """Passes a command on within the limits; the monitor that trips where this has lasted too long, and its leg."""
-    largest_change, limit = _largest_change(params, state), params.torque_limit
+def _pass_on(
+    gain: Vec6, params: SafetyParams, command: Vec6, asked: Vec6, cranks: Vec6, state: SafetyState
+) -> tuple[int, int]:
+    """Passes a command on within the limits; the monitor that trips where this has lasted too long, and its leg.
+
+    Servos limit the torque that an angle asks for by themselves.
+    """
+    limit, holds = params.torque_limit, params.actuators.holds > 0.0
     torque, spare, steadiness, full, steep = np.empty(6), np.empty(6), np.empty(6), False, False
     for i in range(6):
-        size, change = abs(command[i]), abs(command[i] - state.command[i])
+        size, change, most = abs(asked[i]), abs(command[i] - state.command[i]), np.inf if holds else limit[i] / gain[i]
         full = full or size >= limit[i] * (1.0 - _ROUNDING)
-        steep = steep or change > largest_change * (1.0 + _ROUNDING)
+        steep = steep or change > _largest_change(gain[i], params, state) * (1.0 + _ROUNDING)
         spare[i], steadiness[i] = -size / limit[i], -change
-        torque[i] = min(max(command[i], -limit[i]), limit[i])
+        torque[i] = min(max(command[i], -most), most)
     state.at_limit, state.too_fast = _counted(state.at_limit, full), _counted(state.too_fast, steep)
     copy_to(state.command[:], command)
     if state.at_limit * params.period > AT_LIMIT_TIME + _ROUNDING:
         return TORQUE_LIMIT, first_least(spare)
-    if state.too_fast * params.period > TOO_FAST_TIME + _ROUNDING:
-        return TORQUE_RATE, first_least(steadiness)
+    if state.too_fast * params.period > params.jump_time + _ROUNDING:
+        return ANGLE_RATE if holds else TORQUE_RATE, first_least(steadiness)
     if steep:
         # To approach a command that chatters would leave a mean torque that nobody asked for.
         copy_to(torque, state.good)
-    reached = _approach(params, torque, state)
-    if reached and not (full or steep):
+    reached = _approach(gain, params, torque, state)
+    if reached and not steep and (holds or not full):
+        _plan_rest(gain, params, torque, cranks, state)
         copy_to(state.good[:], torque)
     state.safety.level, state.safety.monitor, state.safety.leg = NONE, NO_TRIP, -1.0
     state.hold_used = max(0.0, state.hold_used - REFILL)
@@ -309,17 +344,32 @@ def _pass_on(params: SafetyParams, command: Vec6, state: SafetyState) -> tuple[i
 
 
 @njit
-def _largest_change(params: SafetyParams, state: SafetyState) -> float:
-    """[N m] from one tick to the next."""
-    return np.inf if state.ticks <= 1.0 else params.torque_change
+def _plan_rest(gain: Vec6, params: SafetyParams, command: Vec6, cranks: Vec6, state: SafetyState) -> None:
+    """Angles at which servos would come to rest from a command; `state.good` is that of the tick before.
+
+    Without feedback they go on along their path as far as they go in half of the ramp; a command is ahead of its crank
+    by the servo's damping. With feedback a command has an angle for a torque that is not to last: they stay where they
+    are, but for the angle that carries the weight. No reading moves a servo otherwise.
+    """
+    for i in range(6):
+        speed = (command[i] - state.good[i]) / params.period if state.ticks > 1.0 else 0.0
+        state.rest[i] = command[i] + (0.5 * params.ramp_time - params.actuators.damping / gain[i]) * speed
+        if params.actuators.follows == 0.0:
+            state.rest[i] = cranks[i] + state.weight[i] / gain[i] if np.isfinite(cranks[i]) else command[i]
 
 
 @njit
-def _approach(params: SafetyParams, torque: Vec6, state: SafetyState) -> bool:
-    """Moves the torques of the motors towards those wanted, at the largest rate; True if they are reached."""
-    bound, reached = _largest_change(params, state), True
+def _largest_change(gain: float, params: SafetyParams, state: SafetyState) -> float:
+    """Of a command from one tick to the next, for a motor that gives a torque `gain` [N m] for its unit."""
+    return np.inf if state.ticks <= 1.0 else params.actuators.steepest + params.torque_change / gain
+
+
+@njit
+def _approach(gain: Vec6, params: SafetyParams, torque: Vec6, state: SafetyState) -> bool:
+    """Moves the commands of the motors towards those wanted, at the largest rate; True if they are reached."""
+    reached = True
     for i in range(6):
-        before = state.torque[i]
+        before, bound = state.torque[i], _largest_change(gain[i], params, state)
         change = torque[i] - before
         state.torque[i] = before + min(max(change, -bound), bound) if abs(change) > bound else torque[i]
         reached = reached and state.torque[i] == torque[i]
@@ -328,21 +378,21 @@ def _approach(params: SafetyParams, torque: Vec6, state: SafetyState) -> bool:
 
 @njit
 def _stop(
-    params: SafetyParams, is_observed: bool, unexplained: bool, angles: Vec6, state: SafetyState
+    gain: Vec6, params: SafetyParams, is_observed: bool, unexplained: bool, angles: Vec6, state: SafetyState
 ) -> tuple[int, float]:
     """Ramp and safe hold: from the last good command to the weight's torque, damped from the first tick on.
 
     All modes decay with the time constant `params.stopping`. A leg with a suspect reading is damped by the speed that
     torques alone give. That is good for a short time, as it is for a robot with a faulty motor.
+
+    Servos go from the last good angles to rest, where they hold themselves, with readings or without.
     """
     state.stop_ticks += 1.0
-    residual, readings = state.residual, 0
+    residual, holds = state.residual, params.actuators.holds > 0.0
     if not any_nonzero(residual.suspect[:]):
         leg = mark_suspects(residual, -1, unexplained)
         state.safety.leg = leg if state.safety.leg < 0.0 else state.safety.leg
-    for i in range(6):
-        readings += 1 if np.isfinite(angles[i]) else 0
-    is_seen = is_observed or readings >= 5
+    is_seen = is_observed or holds or readings_of(angles) >= 5
     if not is_seen and state.hold_used >= params.budget:
         # This robot cannot be held without a measurement: in open loop it falls within half a second.
         return BLIND, 0.0
@@ -358,8 +408,8 @@ def _stop(
     # A command that followed a wrong reading is not continued. The inertia of the cranks turns a speed into a torque.
     share = min(1.0, elapsed / params.ramp_time) if is_whole else 1.0
     for i in range(6):
-        brake[i, 0], wanted[i] = speeds[i], (1.0 - share) * state.good[i] + share * state.weight[i]
-    braked = is_seen and solve(residual.mobility.copy(), brake) != 0.0
+        brake[i, 0], wanted[i] = speeds[i], (1.0 - share) * (gain[i] * state.good[i]) + share * state.weight[i]
+    braked = is_seen and not holds and solve(residual.mobility.copy(), brake) != 0.0
     for i in range(6):
         braked = braked and np.isfinite(brake[i, 0])
     for i in range(6):
@@ -368,8 +418,10 @@ def _stop(
             wanted[i] -= brake[i, 0] / params.stopping
     motor_torques(residual, wanted)
     for i in range(6):
-        wanted[i] = min(max(wanted[i], -params.most_torque[i]), params.most_torque[i])
-    _approach(params, wanted, state)
+        wanted[i] = min(max(wanted[i], -params.most_torque[i]), params.most_torque[i]) / gain[i]
+        if holds:
+            wanted[i] = (1.0 - share) * state.good[i] + share * state.rest[i]
+    _approach(gain, params, wanted, state)
     state.safety.level = SAFE_HOLD if elapsed >= params.ramp_time else RAMP
     state.worst = max(state.worst, state.safety.level)
     state.hold_used = 0.0 if is_seen else state.hold_used + 1.0

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Matrix, Record, Vec2, Vec6, Vec9, record
+from stewart_drake.loop.part import LoopContext
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import inverse_dynamics, pose_acceleration_map, static_torque
 from stewart_drake.mechanics.kinematics import inverse_kinematics, pose_jacobian
@@ -17,6 +18,7 @@ from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import copy_to, set_to
 from stewart_drake.mechanics.singularities import WEIGHT_TRUSTED, PoseMeasures, crank_speeds, measure_pose
 from stewart_drake.robot import Gravity, RobotParameters, base_reading
+from stewart_drake.safety.actuators import ActuatorParams, actuator_params
 from stewart_drake.safety.options import (
     CRANK_SPEED,
     FOLLOWING,
@@ -31,6 +33,9 @@ from stewart_drake.safety.options import (
 from stewart_drake.safety.residual import LONGEST_HALF, ONE_LEG_SHARE, ResidualParams
 from stewart_drake.safety.stillness import StillParams, still_params
 
+if TYPE_CHECKING:
+    from stewart_drake.hardware.motors import MotorOptions
+
 LIMITS = (
     (WORKSPACE, "workspace", False),
     (CRANK_SPEED, "crank_speed", True),
@@ -44,7 +49,7 @@ _OF_ROW = np.array([(monitor, of_legs) for monitor, _, of_legs in LIMITS])
 
 TIE = 1e-6  # Difference of two legs, in any unit, below which the first leg is named.
 AT_LIMIT_TIME, TOO_FAST_TIME = 0.1, 0.01
-"""[s] total time for which commands may be at the torque limit, and may jump. Good ticks are subtracted from it."""
+"""[s] total time for which commands may be at the torque limit, and may jump, or a tick. Good ticks are subtracted from it."""
 RUNAWAY_TIME = 0.005
 """[s] for which a crank of a stopping robot may turn too fast: a reading may jump."""
 IMPACT = 0.005  # [s] longest impact, as `disturbances` has it.
@@ -69,6 +74,7 @@ class SafetyParams(Record):
     deadline: float  # [ticks]
     torque_limit: Vec6  # [N m]
     torque_change: float  # [N m] in a tick.
+    jump_time: float  # [s] for which commands may jump.
     workspace: Vec2  # [rad, m]
     transmission: float
     conditioning: float
@@ -84,6 +90,7 @@ class SafetyParams(Record):
     most_speed: float  # [rad/s] of a crank at which a stop is given up.
     still: StillParams
     residual: ResidualParams
+    actuators: ActuatorParams
 
 
 class Observed(PoseMeasures):
@@ -97,35 +104,54 @@ class Observed(PoseMeasures):
 
 
 def safety_params(
-    robot: RobotParameters, options: SafetyOptions, gravity: Gravity, period: float, noise: float = NOISE
+    robot: RobotParameters,
+    options: SafetyOptions,
+    gravity: Gravity,
+    period: float,
+    noise: float = NOISE,
+    context: LoopContext | None = None,
 ) -> SafetyParams:
-    """The parameters of the layer, for ticks of a period [s] and noise [rad] of a crank's angle."""
-    rate, share = options.torque_rate, options.torque_limit
-    residual = _residual_params(robot, options, gravity, period, noise)
+    """The parameters of the layer, for ticks of a period [s] and noise [rad] of a crank's angle.
+
+    Without a `context` motors take torques.
+    """
+    actuators = actuator_params(robot, options, context)
+    rate, share, limits = options.torque_rate, options.torque_limit, actuators["limit"][0]
+    residual = _residual_params(robot, options, gravity, period, noise, actuators)
+    change = math.inf if rate is None else rate * period
+    if actuators["holds"][0]:
+        change = 0.0 if actuators["follows"][0] else min(change, 2.0 * limits.max())
     return SafetyParams.new(
         options,
         period=period,
         base=base_reading(gravity),
         home=robot.home_pose,
-        torque_limit=(math.inf if share is None else share) * robot.effort_limits,
-        torque_change=math.inf if rate is None else rate * period,
+        torque_limit=(math.inf if share is None else share) * limits,
+        torque_change=change,
+        jump_time=max(TOO_FAST_TIME, period),
         transmission=-math.inf if options.transmission is None else options.transmission,
         conditioning=-math.inf if options.conditioning is None else options.conditioning,
         impact=IMPACT / period + 2.0 * residual["half"][0] + 1e-6,
         suspect_hold_time=min(SUSPECT_HOLD, options.ramp_time + options.safe_hold_time),
         stopping=max(STOPPING, STOPPING_TICKS * period),
         budget=options.budget(period),
-        most_torque=(1.0 if share is None else share) * robot.effort_limits,
+        most_torque=(1.0 if share is None else share) * limits,
         most_speed=RUNAWAY * (FASTEST if options.crank_speed is None else options.crank_speed),
         still=still_params(period, options.standstill, options.frozen),
         residual=residual,
+        actuators=actuators,
     )
 
 
 def _residual_params(
-    robot: RobotParameters, options: SafetyOptions, gravity: Gravity, period: float, noise: float
+    robot: RobotParameters,
+    options: SafetyOptions,
+    gravity: Gravity,
+    period: float,
+    noise: float,
+    actuators: ActuatorParams,
 ) -> ResidualParams:
-    bound = (math.inf if options.unexplained_torque is None else options.unexplained_torque) * robot.effort_limits
+    bound = (math.inf if options.unexplained_torque is None else options.unexplained_torque) * actuators["limit"][0]
     inertia = np.linalg.inv(pose_jacobian(robot, robot.home_pose) @ pose_acceleration_map(robot, robot.home_pose))
     # A second difference of noise has sqrt(6) times its size, over the square of half the window.
     largest = np.linalg.norm(inertia, axis=1).max() * math.sqrt(6.0) * noise
@@ -134,6 +160,8 @@ def _residual_params(
         period=period,
         base=base_reading(gravity),
         half=half,
+        # Torques count a tick late; a servo's depends on the angle, so a tick matters.
+        first=0.0 if actuators["holds"][0] else 1.0,
         unexplained=bound,
         unexplained_alone=ONE_LEG_SHARE * bound.min(),
         filter_share=min(0.5, period / FILTER_TIME),
@@ -264,19 +292,29 @@ def refuse_motion(
     gravity: Gravity,
     time: np.ndarray,
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
+    motors: MotorOptions | None = None,
 ) -> None:
-    """Refuses a motion (n, 6) with two derivatives that would trip a monitor if it were followed without error."""
+    """Refuses a motion (n, 6) with two derivatives that would trip a monitor if it were followed without error.
+
+    Without `motors` they take torques.
+    """
     pose, rate, _ = motion
-    inverse_kinematics(robot, pose)
+    angles = np.unwrap(inverse_kinematics(robot, pose), axis=0)
     _, start = _margins(robot, options, pose[:1], rate[:1], pose[:1])
     margins, _ = _margins(robot, options, pose, rate, pose, start)
     for row, (_, key, of_legs) in enumerate(LIMITS):
         _refuse(key, getattr(options, key), margins[:, row] if of_legs else margins[:, row, :1], time)
     torque, step = inverse_dynamics(robot, *motion, gravity), np.diff(time, prepend=2.0 * time[0] - time[1])
-    change = np.abs(np.diff(torque, axis=0, prepend=torque[:1])) / step[:, None]
+    limits, fast, per_second, sent = robot.effort_limits, "torque_rate", "N m/s", torque
+    if motors is not None:
+        limits = motors.limits(robot)
+    if motors is not None and motors.holds:
+        fast, per_second = "crank_speed", "rad/s"
+        sent = angles + (torque + getattr(motors, "damping", 0.0) * np.gradient(angles, time, axis=0)) / motors.gains
+    change = np.abs(np.diff(sent, axis=0, prepend=sent[:1])) / step[:, None]
     for key, unit, size, scale, longest in (
-        ("torque_limit", "N m", np.abs(torque), robot.effort_limits, AT_LIMIT_TIME),
-        ("torque_rate", "N m/s", change, np.ones(6), TOO_FAST_TIME),
+        ("torque_limit", "N m", np.abs(torque), limits, AT_LIMIT_TIME),
+        (fast, per_second, change, np.ones(6), TOO_FAST_TIME),
     ):
         given = getattr(options, key)
         limit = np.inf if given is None else given * scale

@@ -19,17 +19,19 @@ from stewart_drake.safety.stillness import FROZEN_AFTER, TRAVEL_SHARE
 MONITORS = (
     *("none", "measurement_not_finite", "sensor_failed", "controller_failed", "command_not_finite", "deadline"),
     *("workspace", "serial_singularity", "parallel_singularity", "crank_speed", "following_error", "torque_limit"),
-    *("torque_rate", "innovation", "reading_stuck", "unexplained_torque", "not_moving", "parity"),
+    *("torque_rate", "innovation", "reading_stuck", "unexplained_torque", "not_moving", "parity", "angle_rate"),
 )
 """Stable names of the monitors, by their number in the log: new ones come last. `innovation` is in old logs alone."""
 NO_TRIP, MEASUREMENT, SENSOR, CONTROLLER, COMMAND, DEADLINE, WORKSPACE, SERIAL, PARALLEL, CRANK_SPEED = range(10)
-FOLLOWING, TORQUE_LIMIT, TORQUE_RATE, INNOVATION, READING, UNEXPLAINED, NOT_MOVING, PARITY = range(10, len(MONITORS))
+FOLLOWING, TORQUE_LIMIT, TORQUE_RATE, INNOVATION, READING, UNEXPLAINED, NOT_MOVING, PARITY = range(10, 18)
+ANGLE_RATE = 18
 """Numbers of the monitors."""
 MEANINGS = {
     "reading_stuck": "a sensor repeats itself, or no crank moves at all",
     "not_moving": "a crank stands, or its reading does, while its reference moves",
     "parity": "an encoder is wrong",
     "unexplained_torque": "a reading or a motor is wrong, or load and friction exceed safety.unexplained_torque",
+    "angle_rate": "commanded angles jump: a crank would have to turn faster than safety.crank_speed",
 }
 """More about a monitor, for the message of a run that it ends."""
 INERTIAL_WRONG = "the inertial sensor on the platform is wrong or gives no new readings, or several encoders are wrong"
@@ -52,7 +54,8 @@ class SafetyOptions(Section, key="safety"):
     """[-] share of the motors' limit by which torques may differ from inverse dynamics of the readings, because of
     payload, pushes and friction that is not compensated. A fifth of it applies where the difference is that of one
     leg alone, two fifths where it is that of two; an impact of 5 ms passes. It detects wrong readings and motors.
-    Friction of `model` is added, and with `adaptation` its uncertainty."""
+    Friction of `model` is added, and with `adaptation` its uncertainty; with motors that take angles or currents also a
+    fifth of their torque, and with angles what play, dead band and half a tick of delay may make of it."""
     frozen: Positive | None = FROZEN_AFTER
     """[rad] travel of a crank's reference after which readings are frozen that have all repeated to the last bit."""
     standstill: Fraction | None = TRAVEL_SHARE
@@ -64,10 +67,11 @@ class SafetyOptions(Section, key="safety"):
     0.2 s, or five of its periods, stops the robot too: without it the next wrong encoder would go unnoticed."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
     """[-] largest command as a fraction of the motors' limit; commands are cut there. They may be there or beyond for
-    0.1 s in sum."""
+    0.1 s in sum. An angle [rad] counts as the torque that it asks of the servo, and is not cut."""
     torque_rate: Annotated[Positive | None, TORQUE] = 4000.0
     """[N m/s] largest rate of a motor's torque. A command that jumps further is replaced by the last good one, for up
-    to 10 ms in sum; the next good command is approached at this rate."""
+    to 10 ms in sum, or a tick; the next good command is approached at this rate. Commanded angles [rad] have the limit
+    `crank_speed` instead, besides the angle for a torque at this rate where the controller has feedback."""
     workspace: Annotated[PositivePair | None, LENGTH] = (1.2, 0.12)
     """[rad, m] largest distance from the home pose: angle of the rotation, and distance of P."""
     transmission: Fraction | None = MONITORED.transmission
@@ -79,7 +83,8 @@ class SafetyOptions(Section, key="safety"):
     """[s] prediction horizon of `workspace`, `transmission` and `conditioning`: the pose is extrapolated at its
     measured rate."""
     crank_speed: Positive | None = 15.0
-    """[rad/s] largest measured crank speed |theta'|."""
+    """[rad/s] largest measured crank speed |theta'|, and largest rate of a commanded angle (monitor `angle_rate`); for
+    that also the servo's speed without load."""
     following_error: Annotated[PositivePair | None, LENGTH] = (0.1, 0.02)
     """[rad, m] largest following error, to the reference: angle of the rotation, and distance of P."""
     hold_ticks: Annotated[Natural, Field(le=20)] = 20
@@ -112,7 +117,7 @@ class SafetyOptions(Section, key="safety"):
 class SafetyInputs(NamedTuple):
     """Input of a monitor of the user."""
 
-    command: np.ndarray  # (6,) [N m].
+    command: np.ndarray  # (6,) [N m], or in the motors' unit.
     pose: np.ndarray  # (6,) [rad, m] measured.
     pose_rate: np.ndarray  # (6,) [rad/s, m/s] measured.
     reference: np.ndarray  # (6,) [rad, m] its pose.

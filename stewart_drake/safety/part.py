@@ -10,10 +10,11 @@ import numpy as np
 
 from stewart_drake.base.atomic_files import Document
 from stewart_drake.base.errors import FAILURES, SafetyStop
-from stewart_drake.base.records import Vec2
+from stewart_drake.base.records import Vec2, Vec6
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot, robot_record
+from stewart_drake.safety.actuators import ActuatorState
 from stewart_drake.safety.layer import (
     BLIND,
     END,
@@ -43,16 +44,19 @@ from stewart_drake.safety.residual import ResidualState
 def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
     """The safety layer; ports for which a loop may have no signal read `NOT_THERE`.
 
-    Where the very first command is bad, `context.initial_torque` is held.
+    Where the very first command is bad, that for `context.initial_torque` is held.
     """
     robot, period, torque = context.robot, context.period, context.initial_torque
-    params = safety_params(robot, options, context.gravity, period, context.noise)
+    params = safety_params(robot, options, context.gravity, period, context.noise, context)
+    command = context.motors.initial_command(context)
     first = SafetyState.new(
-        torque=torque,
-        good=torque,
+        torque=command,
+        good=command,
+        rest=command,
         weight=torque,
-        command=torque,
+        command=command,
         safety=SafetyStatus.new(level=NONE, monitor=NO_TRIP, leg=-1.0),
+        actuators=ActuatorState.new(torque=torque, cranks=np.nan, sent=command),
         residual=ResidualState.new(angles=np.nan, poses=np.nan, sent_torques=torque),
     )
     kernel: Any = safety_tick
@@ -64,13 +68,21 @@ def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
     inputs |= {name: len(value) for name, value in NOT_THERE.items()}
     error = partial(_stopped, options, period)
     part = Part("safety", kernel, constants, inputs, ("torque", "safety"), first, (Legs, Observed), error=error)
-    return part._replace(connections=NOT_THERE, parameters={**numbers, "params": params})
+    return part._replace(connections=NOT_THERE, parameters={**numbers, "gain": context.motors.gains, "params": params})
+
+
+def later(layer: Part, ticks: int) -> Part:
+    """The layer for a loop in which its commands arrive ticks later than in the model of the motors."""
+    params = layer.parameters["params"].copy()
+    params["actuators"]["late"] += ticks
+    return layer._replace(parameters={**layer.parameters, "params": params})
 
 
 def _safety_tick_with_monitors(
     robot: Robot,
     friction: Friction,
     friction_unknown: Friction,
+    gain: Vec6,
     params: SafetyParams,
     user_trip: Vec2,
     options: SafetyOptions,
@@ -84,7 +96,7 @@ def _safety_tick_with_monitors(
         inputs = SafetyInputs(command, measured[:6], measured[6:], wanted[:6], float(age[0]), *health)
         trip = options.first_user_trip(inputs)
         user_trip[:] = user_trip if trip is None else trip
-    return safety_tick(robot, friction, friction_unknown, params, user_trip, *arguments)
+    return safety_tick(robot, friction, friction_unknown, gain, params, user_trip, *arguments)
 
 
 def _stopped(options: SafetyOptions, period: float, result: Any, arguments: Mapping[str, Any]) -> SafetyStop:

@@ -52,6 +52,7 @@ class ResidualParams(Record):
     period: float  # [s]
     base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     half: float  # [ticks] of half a window.
+    first: float  # Row of the sent torques that is the newest one in a window.
     unexplained: Vec6  # [N m] bound on a residual, besides friction.
     unexplained_alone: float  # [N m] the same where one leg or two dominate.
     filter_share: float  # Weight of the newest tick in the low pass `filtered_acceleration`.
@@ -71,7 +72,9 @@ class ResidualState(Record):
     angles: Vec6  # [rad] read last.
     poses: _Ticks  # [rad, m] read in the last ticks, newest first.
     sent_torques: _Ticks  # [N m] in the last ticks, newest first.
+    doubts: _Ticks  # [N m] by which these may be wrong.
     mean_torque: Vec6  # [N m] sent, weighted over the window.
+    doubt: Vec6  # [N m] by which that may be wrong.
     residual: Vec6  # [N m] that less inverse dynamics.
     push_acceleration: Vec6  # [rad/s^2] that the residual would make.
     filtered_acceleration: Vec6  # [rad/s^2] unexplained, friction included, low-passed.
@@ -94,11 +97,14 @@ def update_residual(
     angles: Vec6,
     pose: Vec6,
     torque: Vec6,
+    doubt: Vec6,
     is_first: bool,
     state: ResidualState,
     legs: Legs,
 ) -> None:
-    """One tick: updates residual and observers with readings and with the torques sent in the tick before.
+    """One tick: updates residual and observers with readings and with the torques of the tick before.
+
+    These may be wrong by `doubt` [N m].
 
     Both are evaluated in the middle of a window: rates and accelerations are differences of poses, and torques have the
     weights that accelerations have in a second difference. The residual is zero while readings are missing. `unknown`
@@ -106,7 +112,7 @@ def update_residual(
     pose [rad, m] is used only then.
     """
     half, h = int(params.half), params.period
-    _store(robot, half, angles, pose, torque, state)
+    _store(robot, half, angles, pose, torque, doubt, state)
     now, centre, old = state.poses[0], state.poses[half], state.poses[2 * half]
     whole = all_finite(now) and all_finite(centre) and all_finite(old)
     motion, acceleration, twist, speeds = np.zeros(12), np.zeros(6), np.empty(6), np.zeros(6)
@@ -147,16 +153,18 @@ def update_residual(
 
 
 @njit
-def _store(robot: Robot, half: int, angles: Vec6, pose: Vec6, torque: Vec6, state: ResidualState) -> None:
+def _store(robot: Robot, half: int, angles: Vec6, pose: Vec6, torque: Vec6, doubt: Vec6, state: ResidualState) -> None:
     """Stores the pose of the readings, NaN where there is none, and the torques that were sent."""
     for row in range(2 * half, 0, -1):
         copy_to(state.poses[row], state.poses[row - 1])
         copy_to(state.sent_torques[row], state.sent_torques[row - 1])
+        copy_to(state.doubts[row], state.doubts[row - 1])
     copy_to(state.sent_torques[0], torque)
+    copy_to(state.doubts[0], doubt)
     for i in range(6):
         if np.isfinite(angles[i]):
             state.encoders = 1.0
-        state.mean_torque[i], state.push_acceleration[i], state.residual[i] = 0.0, 0.0, 0.0
+        state.mean_torque[i], state.push_acceleration[i], state.residual[i], state.doubt[i] = 0.0, 0.0, 0.0, 0.0
     now = state.poses[0]
     copy_to(now, pose)
     if state.encoders > 0.0:
@@ -179,12 +187,13 @@ def _compare(
     state: ResidualState,
 ) -> None:
     """Residual: torques sent, less inverse dynamics of a motion and viscous friction at the speeds of the cranks."""
-    half, need = int(params.half), np.empty(6)
+    half, first, need = int(params.half), int(params.first), np.empty(6)
     motion_torque(robot, legs, motion, acceleration, params.base[:], need)
     for i in range(6):
         for row in range(2 * half):
             share = (min(row, 2 * half - 1 - row) + 0.5) / (half * half)
-            state.mean_torque[i] += share * state.sent_torques[row + 1, i]
+            state.mean_torque[i] += share * state.sent_torques[row + first, i]
+            state.doubt[i] += share * state.doubts[row + first, i]
         state.residual[i] = state.mean_torque[i] - need[i] - friction.viscous[i] * speeds[i]
 
 
@@ -316,15 +325,19 @@ def _are_swapped(state: ResidualState, motor: int, another: int) -> bool:
 
 @njit
 def is_unexplained(params: ResidualParams, state: ResidualState) -> bool:
-    """True if the residual exceeds its bound, or a lower bound where one or two legs dominate."""
+    """True if the residual exceeds its bound, or a lower bound where one or two legs dominate.
+
+    What the motors may give more or less than they were asked for adds to both.
+    """
     _, _, one, two = two_largest(state.filtered_acceleration[:])
     motor, another, one_motor, two_motors = two_largest(state.missing_torque[:])
     share = 1.0 if _are_swapped(state, motor, another) else TWO_LEGS_SHARE
     alone = max(params.inertia * max(one, TWO_LEGS_SHARE * two), one_motor, share * two_motors)
     # Friction may act on one motor alone, so its whole bound is allowed here.
-    unexplained = alone > params.unexplained_alone + state.friction_bound
+    unexplained = alone > params.unexplained_alone + state.friction_bound + largest_size(state.doubt[:])
     for i in range(6):
-        unexplained = unexplained or abs(state.residual[i]) > params.unexplained[i] + state.friction_bound
+        bound = params.unexplained[i] + state.friction_bound + state.doubt[i]
+        unexplained = unexplained or abs(state.residual[i]) > bound
     return unexplained
 
 

@@ -17,6 +17,7 @@ from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.imu import imu_parts
 from stewart_drake.hardware.motors import delay_part
 from stewart_drake.hardware.moving_base import base_signal
+from stewart_drake.hardware.sensors import faulty_sensor_part
 from stewart_drake.loop.part import NOTHING, Part
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.scenario.control_side import Source, context_of, control_side
@@ -148,6 +149,13 @@ def servo_gain_error(scenario: Scenario) -> np.ndarray:
     return np.asarray(scenario.robot.servo_gains / scenario.controller_model.robot.servo_gains)
 
 
+def _delayed(parts: list[Part], command: str, steps: int, first: np.ndarray, name: str, period: float) -> str:
+    """Adds a delay of a number of steps of a period [s]; the name of the delayed signal."""
+    delay = delay_part(steps, first, name)._replace(period=period)
+    parts.append(delay.connected(value=command).named(value=name))
+    return name
+
+
 def command_path(
     scenario: Scenario, command: str, first: np.ndarray, period: float, safety: Part | None = None, bus: bool = True
 ) -> list[Part]:
@@ -156,13 +164,10 @@ def command_path(
     Until the first command arrives it is `first` (6,). Without `bus` there are the motors alone, with their dead time.
     """
     parts: list[Part] = []
-    tick, step, age = scenario.controller.period, scenario.plant.time_step, {}
-    dead, late = scenario.motors.dead_time, scenario.command_delay * tick if bus else 0.0
-    for name, ticks, clock in (("command_delay", late / period, period), ("motor_delay", dead / step, step)):
-        if round(ticks) > 0:
-            delay = delay_part(round(ticks), first, name)._replace(period=clock)
-            parts.append(delay.connected(value=command).named(value=name))
-            command = name
+    tick, step, age = scenario.controller.period, scenario.plant.time_step, dict[str, str]()
+    late = scenario.command_delay * tick / period if bus else 0.0
+    if round(late) > 0:
+        command = _delayed(parts, command, round(late), first, "command_delay", period)
     if bus and not scenario.link.perfect:
         parts.append(scenario.link.part(tick, step, first).connected(torque=command).named(torque="arrived"))
         command, age = "arrived", {"age": "age"}
@@ -174,9 +179,17 @@ def command_path(
         finite = FINITE._replace(constants={"what": scenario.motors.command_quantity}, period=step)
         parts.append(finite.connected(command=command))
         command = "checked"
+    if (dead := round(scenario.motors.dead_time / step)) > 0:
+        command = _delayed(parts, command, dead, first, "motor_delay", step)
     gain = servo_gain_error(scenario)
     if scenario.motors.holds and (gain != 1.0).any():
         parts.append(scaled(gain, command, "turned_command")._replace(period=step))
         command = "turned_command"
-    motors = scenario.motors.part(scenario.robot, step)
-    return [*parts, motors.connected(command=command).named(torque="motor_torque")]
+    motors = scenario.motors.part(scenario.robot, step).connected(command=command).named(torque="motor_torque")
+    if faults := [fault for fault in scenario.sensors.faults if getattr(fault, "in_servo", False)]:
+        # Angles (6,) alone, not their rates.
+        of_legs = [f.replace(leg=leg) for f in faults for leg in (range(6) if f.leg is None else (f.leg,))]
+        sensor = faulty_sensor_part(of_legs, 12, step)._replace(name="servo_sensors", period=step)
+        parts.append(sensor.connected(reading="crank_state").named(reading="servo_state"))
+        motors = motors.connected(crank_state="servo_state")
+    return [*parts, motors]

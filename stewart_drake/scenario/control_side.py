@@ -220,11 +220,11 @@ class _Wiring:
     def add_motors(self) -> None:
         """The command with which the motors give the torque."""
         motors = self.context.motors
-        inverse = [part.connected(**self.law_inputs) for part in motors.inverse_parts(self.context)]
-        if inverse and self.options.safety is not None:
-            # The layer is behind the link, and its limits are torques.
-            takes = f"these take {motors.command_quantity} [{motors.unit}]"
-            allowed = f"motors that take torque [N m], with a safety layer; {takes}"
+        linked = [part.connected(**self.law_inputs) for part in motors.inverse_parts(self.context)]
+        inverse = [_reporting(part, "command_health", self.options) if part.statuses else part for part in linked]
+        if inverse and motors.by_torque and self.options.safety is not None:
+            takes = f"these take {motors.command_quantity} [{motors.unit}], and have `by_torque`"
+            allowed = f"motors that take torque [N m], or whose `gains` tell their torque, with a safety layer; {takes}"
             raise ConfigurationError("motors.kind", motors.kind, allowed)
         if inverse:
             self.command = "command"

@@ -16,7 +16,7 @@ from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.motors import within_limit
 from stewart_drake.loop.part import LoopRunner, Part
 from stewart_drake.mechanics.linear_algebra import all_finite
-from stewart_drake.safety import LEVELS, Stillness, first_trip
+from stewart_drake.safety import LEVELS, Stillness, first_trip, later
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.control_side import ControlSide, control_side
 
@@ -212,7 +212,8 @@ def controller_parts(options: ControlOptions, side: ControlSide, age: np.ndarray
             "controller", options.controller.kind, "a controller that is no LeafSystem, to run without a plant"
         )
     if side.safety is not None:
-        parts.append(side.safety.connected(command=side.torque, age=age))
+        # The delay of commands lies behind this layer.
+        parts.append(later(side.safety, side.context.delay).connected(command=side.command, age=age))
     elif not options.controller.feedback:
         # Adaptive laws need readings; without them the rest still runs.
         parts = [*_without([*side.parts], {side.reading}), *side.at_end]

@@ -190,6 +190,10 @@ class Scenario(ControlOptions):
         if motors.code is None and model_motors.command_quantity != motors.command_quantity:
             allowed = f"motors that take {motors.command_quantity} [{motors.unit}], as `motors` do"
             raise ConfigurationError("model.motors.kind", model_motors.kind, allowed)
+        for number, fault in enumerate(() if motors.holds else self.sensors.faults):
+            if getattr(fault, "in_servo", False):
+                allowed = f"false, as motors that take {motors.command_quantity} [{motors.unit}] use no angle"
+                raise ConfigurationError(f"sensors.faults[{number}].in_servo", True, allowed)
         if not self.plant.base_moves:
             self.base.refuse_motion(f"plant.kind {self.plant.kind}")
         if self.base_compensation != "none" and self.base.sensor is None:
