@@ -27,6 +27,7 @@ from identification_study import ROBOT_OF, motions
 from simulated_calibration import run_trial as calibrated
 from simulated_identification import Setting
 from simulated_identification import run_trial as identified
+from tuner_baselines import Benchmark
 
 from stewart_drake import Reach, load_robot, load_scenario, plan_poses, run, run_metrics
 from stewart_drake.analysis.linear_loop import linear_loops
@@ -39,7 +40,7 @@ from stewart_drake.studies.faults import fault_study
 from stewart_drake.studies.runs import execute
 from stewart_drake.studies.sweep import load_sweep
 from stewart_drake.studies.workers import Workers
-from stewart_drake.training.benchmark import Baselines, Benchmark, Case, always, with_setting
+from stewart_drake.training.benchmark import Baselines, Case, always, with_setting
 from stewart_drake.training.situations import HELD_OUT
 
 pytestmark = pytest.mark.long

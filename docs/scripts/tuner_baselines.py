@@ -12,24 +12,27 @@ import numpy as np
 
 from stewart_drake.base.yaml_files import to_yaml
 from stewart_drake.cli.terminal import progress_bar
+from stewart_drake.control.features import CostScales
+from stewart_drake.studies.runs import RowStore, identity
 from stewart_drake.studies.tune import minimise
 from stewart_drake.training.benchmark import (
     DIGITS,
     HIGHEST,
     LOWEST,
     ORACLE,
-    ROUGH,
     SHIPPED,
     Baselines,
-    Benchmark,
     always,
+    candidate_trial,
     cases_of,
     cells_for,
     fixed_rows,
+    log_cost,
     mean_over_cells,
     oracle,
     with_pair,
     with_setting,
+    work_of,
 )
 from stewart_drake.training.situations import ROBOTS, TRAINING, kinds_of
 
@@ -47,6 +50,25 @@ GENERATIONS, GENERATIONS_OF_SCHEDULE, FEW = 7, 8, 4
 """Of the searches: over all kinds, of the schedule, for one robot, one kind or the rough kinds."""
 SEEDS = 3
 """Situations of each kind."""
+ROUGH = ("load jump", "pushes", "blows", "saturation", "stiction")
+"""Kinds in which a stiff loop helps most."""
+
+
+class Benchmark(RowStore):
+    """Runs of candidates for a search on a kind of plant, see `RowStore`."""
+
+    def __init__(self, folder, plant, workers=None, progress=None):
+        super().__init__(folder, identity(work_of(plant)), workers, progress)
+        self._plant = plant
+
+    def run(self, candidates, cases):
+        """Rows of all candidates in all cases."""
+        return self.rows([candidate_trial(self._plant, candidate, case) for candidate in candidates for case in cases])
+
+    def log_costs(self, candidates, cases):
+        """Logarithms of J (candidates, cases)."""
+        costs = [log_cost(row, CostScales()) for row in self.run(candidates, cases)]
+        return np.reshape(costs, (len(candidates), len(cases)))
 
 
 def schedule_of(numbers):

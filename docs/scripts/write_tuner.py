@@ -8,9 +8,10 @@ import sys
 from pathlib import Path
 
 import pyarrow.parquet as pq
+from tuner_baselines import ROUGH
 
 from stewart_drake.base.markdown import markdown_table
-from stewart_drake.training.benchmark import BEST_FIXED, NEVER_WORSE, ROUGH
+from stewart_drake.training.benchmark import BEST_FIXED, NEVER_WORSE
 from stewart_drake.training.situations import KINDS, ROBOTS
 
 DOCS = Path(__file__).parents[1]

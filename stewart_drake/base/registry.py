@@ -105,7 +105,7 @@ DISTURBANCES = Family(
     user_section="hardware.disturbances:UserDisturbance",
     methods=("evaluate",),
 )
-MACHINES = Table({"reachy": "reachy.machine:ReachyMachine", "udp": "machines.udp:UdpMachine"})
+MACHINES = Table({"reachy": "reachy.machine:ReachyMachine", "udp": "machines.packet_machine:UdpMachine"})
 """Scheme of an address -> a class that is called with scenario, host and port; it may have a `default_port`."""
 RECORDINGS = Table({".json": "reachy.moves:read_rows"})
 """Ending of a file with a recorded motion -> a function from its path to rows (n, 7) [s, rad, m]; tables need none."""

@@ -25,8 +25,9 @@ _MARKS = {
     "robot": ({"crank_length", "rod_length", "shaft_circle_radius"}, "stewart-drake run sway --set robot=FILE"),
     "sweep": ({"distributions"}, "stewart-drake sweep FILE"),
     "comparison": ({"controllers", "references"}, "stewart-drake compare FILE"),
+    "controller": (set(), "stewart-drake drive FILE --machine sim:"),
 }
-"""Kind of a file -> keys that identify it, and a command that uses it."""
+"""Kind of a file -> keys that identify it, none where its keys are a scenario's too, and a command that uses it."""
 
 
 def shipped_folder(kind: str) -> Path:
@@ -69,8 +70,9 @@ def read_mapping(kind: str, path: Path, max_name: int) -> Document:
     data = parse_yaml(text, place)
     if not isinstance(data, dict):
         raise ConfigurationError(place, "an empty file" if data is None else data, "a mapping of keys to values")
+    expected = _MARKS.get(kind, (set(), ""))[0]
     for other, (keys, use) in _MARKS.items():
-        if kind in _MARKS and not _MARKS[kind][0] & set(data) and keys & set(data):
+        if expected and not expected & set(data) and keys & set(data):
             raise _of_another_kind(kind, path, other, use)
     # Replaces characters that the name of a scenario may not have.
     data.setdefault("name", re.sub(r"^\W+|[^\w .+-]", "_", path.stem, flags=re.ASCII)[:max_name])

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 import numpy as np
-from pydantic import Field, Strict
 
-from stewart_drake.base.config import NotNegative, Positive, Section, SixNumbers, one_for_six
+from stewart_drake.base.config import NotNegative, Positive, Section, SixNumbers
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.mechanics.kinematics import inverse_kinematics
 from stewart_drake.robot import RobotParameters
@@ -17,8 +16,6 @@ if TYPE_CHECKING:
     from stewart_drake.hardware.motors import MotorOptions
     from stewart_drake.hardware.presets import Wire
 
-_Gain = Annotated[float, Strict(), Field(ge=0.5, le=2.0)]
-_Six = tuple[_Gain, _Gain, _Gain, _Gain, _Gain, _Gain]
 BEYOND = 1e-6  # [rad] by which a stop may be beyond what a servo reaches.
 RATE, SPEED = 50.0, 6.0  # [1/s], [rad/s] of servos of which nothing is known.
 
@@ -36,15 +33,18 @@ def middle_readings(robot: RobotParameters, zero_at: Sequence[float] = (0.0,) * 
 class ServoOptions(Section, key="model.servos"):
     """Six hobby servos on a board, for `export --sketch`. A servo in the middle of its travel has its crank at home.
 
-    angle = home angle + offset + gain direction (command - middle) travel / (largest - smallest command)
+    angle = servo_middle + direction (command - middle) travel / (largest - smallest command)
 
-    This is the angle of a packet. A calibrated robot has a `servo_middle` in place of the home angle. `offset` and
-    `gain` are the trim by hand, at the board; `servo_gain` and crank directions of the robot, by `calibrate`, come on
-    top: after it, leave the trim as it is.
-    Commands are the microseconds of a pulse, or counts of a bus servo; none is ever beyond the stops of the robot's
-    legs, `crank_angle_range`. A crank with a wrong `direction` moves the wrong way, with a wrong `offset` it is off at
-    home, and with a wrong `gain` elsewhere.
+    This is the angle of a packet; the crank's is `servo_gain` of its leg times it. `servo_middle` and `servo_gain` are
+    keys of the robot's legs, set by hand or by `calibrate`. Commands are the microseconds of a pulse, or counts of a
+    bus servo; none is ever beyond the stops of the robot's legs, `crank_angle_range`. A crank with a wrong `direction`
+    moves the wrong way, with a wrong `servo_middle` it is off at home, and with a wrong `servo_gain` elsewhere.
     """
+
+    moved_keys: ClassVar[Mapping[str, str]] = {
+        "offset": "servo_middle [rad] of the robot's legs: home angle + offset, over servo_gain",
+        "gain": "servo_gain of the robot's legs",
+    }
 
     commands: tuple[NotNegative, NotNegative] | None = None
     """Smallest and largest command: pulses [us], or counts of a bus servo; null for those of `motors.preset`."""
@@ -52,10 +52,6 @@ class ServoOptions(Section, key="model.servos"):
     """[rad] that a servo turns from the smallest to the largest command; null for that of `motors.preset`."""
     direction: SixNumbers = (1.0,) * 6
     """[-] 1 where a larger command turns a crank to larger angles, -1 where to smaller ones."""
-    offset: SixNumbers = (0.0,) * 6
-    """[rad] trim: angle of a crank beyond its home angle, with the servo in the middle of its travel."""
-    gain: Annotated[_Six, one_for_six(_Gain)] = (1.0,) * 6
-    """[-] angle that a servo really turns, over that by `travel`, 0.5 to 2."""
     speed: Positive | None = None
     """[rad/s] largest speed of a commanded crank; null for the servo's speed without load."""
     rest_after: NotNegative | None = 5.0
@@ -71,9 +67,9 @@ class ServoOptions(Section, key="model.servos"):
         if commands is None or travel is None:
             allowed = "commands [us] and travel [rad], or model.motors with a preset that has them, such as mg996r"
             raise ConfigurationError("model.servos", None, allowed)
-        (least, most), gain = commands, np.array(self.gain)
+        least, most = commands
         home, ranges = readings_at_home(robot, zero_at), (robot.crank_angle_ranges.T - zero_at) / robot.servo_gains
-        zero, middle, half = middle_readings(robot, zero_at) + self.offset, 0.5 * (least + most), 0.5 * travel * gain
+        zero, middle, half = middle_readings(robot, zero_at), 0.5 * (least + most), 0.5 * travel
         reach = np.stack([zero - half, zero + half])
         angles = np.clip(ranges, *reach)
         for leg, (low, high) in enumerate(reach.T):
@@ -82,9 +78,9 @@ class ServoOptions(Section, key="model.servos"):
                 allowed = f"within {low:.4g} to {high:.4g} rad, what commands {least:g} to {most:g} reach"
                 raise ConfigurationError(f"robot.legs.{leg}.crank_angle_range", stops.tolist(), allowed)
             if not low - BEYOND <= home[leg] <= high + BEYOND:
-                allowed = f"less: the servo of leg {leg} would not reach its home angle {home[leg]:.4g} rad"
-                raise ConfigurationError(f"model.servos.offset[{leg}]", self.offset[leg], allowed)
-        per_rad = np.array(self.direction) * (most - least) / (travel * gain)
+                allowed = f"within {half:.4g} rad of the servo's reading at home, {home[leg]:.4g} rad"
+                raise ConfigurationError(f"robot.legs.{leg}.servo_middle", float(zero[leg]), allowed)
+        per_rad = np.array(self.direction) * (most - least) / travel
         ends = np.sort(middle + per_rad * (angles - zero), axis=0)
         within = np.clip(np.stack([np.ceil(ends[0] - BEYOND), np.floor(ends[1] + BEYOND)]), least, most)
         speed = self.speed or getattr(motors, "no_load_speed", None) or SPEED

@@ -9,7 +9,7 @@ import numpy as np
 
 from stewart_drake.analysis.feasibility import checked_times
 from stewart_drake.base.errors import ConfigurationError
-from stewart_drake.mechanics.kinematics import rotation_matrix
+from stewart_drake.mechanics.kinematics import rotation_angle, rotation_matrix
 from stewart_drake.references.motions import Reference
 from stewart_drake.robot import Gravity, RobotParameters
 from stewart_drake.scenario.limits import PLACES, ReferenceLimits, limit_margins
@@ -202,8 +202,7 @@ def _within_workspace(scenario: Scenario, here: np.ndarray, reached: Reached, ar
     poses = here + np.linspace(0.0, 1.0, _WAY)[:, None] * path
     home = scenario.robot.home_pose
     rows = poses[:, None] + around
-    traces = np.einsum("...ij,ij", rotation_matrix(rows[..., :3]), rotation_matrix(home[:3]))
-    turned = np.arccos(np.clip(0.5 * (traces - 1.0), -1.0, 1.0))
+    turned = rotation_angle(rotation_matrix(rows[..., :3]) @ rotation_matrix(home[:3]).T)
     outside = ((turned > angle) | (np.linalg.norm(rows[..., 3:] - home[3:], axis=-1) > distance)).any(axis=1)
     if outside[0] or not outside.any():
         return reached

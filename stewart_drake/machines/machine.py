@@ -123,7 +123,7 @@ def open_machine(url: str, scenario: Scenario, trust_code: bool = False) -> Mach
         factory = MACHINES[kind]
         machine: Machine = factory(scenario, *_address(url, getattr(factory, "default_port", None)))
     elif kind == "serial" and (parts := re.fullmatch(r"(.+?)(?::(\d{1,8}))?", rest)):
-        machine = imported("machines.serial_line:SerialMachine")(scenario, parts[1], int(parts[2] or 1_000_000))
+        machine = imported("machines.packet_machine:SerialMachine")(scenario, parts[1], int(parts[2] or 1_000_000))
     elif kind == "sim":
         machine = imported("machines.simulated:SimulatedMachine")(scenario, rest)
     elif re.fullmatch(CLASS_PATH, url) and (trust_code or kind.endswith(".py")):

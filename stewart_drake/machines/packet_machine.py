@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
 from contextlib import suppress
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
+from stewart_drake.base.errors import installed_with
 from stewart_drake.machines import machine
 from stewart_drake.machines import packet as wire
 from stewart_drake.machines.machine import MachineError, Reading, Takes
@@ -24,6 +26,8 @@ _DROPPED = {
     "range": f"beyond {machine.LARGEST_ANGLE:.3g} rad: are they in rad, and is model.home right?",
     "old": "older than the one before",
 }
+MAX_DATAGRAMS = 1000  # Read at a time, however many arrive.
+WRITE_TIMEOUT = 0.005  # [s] A packet that the line does not take in this time is dropped: the loop must not wait.
 HISTORY = 1024  # Commands that are remembered until they are acknowledged.
 
 
@@ -197,6 +201,63 @@ class PacketMachine(ABC, Generic[_Line]):
                 if packet.answers > 0 and (self._number - packet.answers) % 2**32 < HISTORY:
                     self._acknowledged_at = float(self._sent[packet.answers % HISTORY])
                     self._acknowledged = self._values[packet.answers % HISTORY]
+
+
+class UdpMachine(PacketMachine[socket.socket]):
+    """A machine at a host and a port; datagrams from elsewhere are dropped by the system."""
+
+    def __init__(self, scenario: Scenario, host: str, port: int) -> None:
+        super().__init__(scenario, f"udp://{host}:{port}")
+        self._address = host, port
+
+    def _open(self) -> socket.socket:
+        family, kind, protocol, _, address = socket.getaddrinfo(*self._address, type=socket.SOCK_DGRAM)[0]
+        line = socket.socket(family, kind, protocol)
+        # The system now drops datagrams from elsewhere.
+        line.connect(address)
+        return line
+
+    def _send(self, line: socket.socket, packet: bytes) -> None:
+        with suppress(BlockingIOError):
+            line.send(packet)
+
+    def _receive(self, line: socket.socket, timeout: float) -> list[bytes]:
+        data: list[bytes] = []
+        line.settimeout(timeout)
+        with suppress(TimeoutError, BlockingIOError):
+            while len(data) < MAX_DATAGRAMS:
+                # One byte more than a packet, so that a longer datagram is not taken for one.
+                data.append(line.recv(wire.LONGEST + 1))
+                line.settimeout(0.0)
+        return data
+
+
+class SerialMachine(PacketMachine[Any]):
+    """A machine at a serial device, at a rate [baud]; USB lines ignore the rate."""
+
+    def __init__(self, scenario: Scenario, device: str, baud: int) -> None:
+        super().__init__(scenario, f"serial:{device}")
+        self._device, self._baud, self._buffer = device, baud, bytearray()
+
+    def _open(self) -> Any:
+        with installed_with("stewart-drake[machines]"):
+            import serial
+        self._buffer.clear()
+        self._full = serial.SerialTimeoutException
+        line = serial.Serial(self._device, self._baud, timeout=0.0, write_timeout=WRITE_TIMEOUT)
+        line.reset_input_buffer()
+        return line
+
+    def _send(self, line: Any, packet: bytes) -> None:
+        with suppress(self._full):
+            line.write(wire.to_frame(packet))
+
+    def _receive(self, line: Any, timeout: float) -> list[bytes]:
+        line.timeout = timeout
+        self._buffer += line.read(1)
+        line.timeout = 0.0
+        self._buffer += line.read(1 << 16)
+        return [wire.from_frame(frame) or b"" for frame in wire.split_frames(self._buffer)]
 
 
 def _follows(packet: wire.Packet, last: wire.Packet) -> bool:

@@ -30,7 +30,7 @@ from stewart_drake.base.real_time import Pace, real_time
 from stewart_drake.base.sampling import steps_per
 from stewart_drake.machines import packet as wire
 from stewart_drake.machines.machine import LOCALHOST, MachineError, command_limits
-from stewart_drake.machines.udp import UdpMachine
+from stewart_drake.machines.packet_machine import UdpMachine
 from stewart_drake.plant.plant_options import ANGLES
 from stewart_drake.scenario.assembly import machine_side
 from stewart_drake.scenario.scenario import Scenario, load_driven

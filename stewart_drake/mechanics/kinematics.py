@@ -230,27 +230,26 @@ def reach_margin(robot: RobotLike, pose: ArrayLike) -> np.ndarray:
     return np.where(np.isnan(margins), -np.inf, margins)
 
 
-def inverse_kinematics(robot: RobotLike, pose: ArrayLike, branch: int | None = None) -> np.ndarray:
+def inverse_kinematics(robot: RobotLike, pose: ArrayLike) -> np.ndarray:
     """Crank angles that put the platform at `pose`; closed form of (1)-(6).
 
     Args:
         robot: Geometry.
         pose: (..., 6) [rad, rad, rad, m, m, m] roll, pitch, yaw, X, Y, Z of P in B.
-        branch: -1 or +1 for all legs; None takes the robot's.
 
     Returns:
         (..., 6) [rad] crank angles, wrapped to (-pi, pi].
 
     Raises:
         UnreachablePoseError: A rod cannot span; `.leg`, `.pose` and `.margin` say which, where and by how much.
-        ConfigurationError: A branch other than -1 or +1, or a pose that is not finite or not (..., 6).
+        ConfigurationError: A pose that is not finite or not (..., 6).
     """
-    return _of_legs(lambda legs, _: np.arctan2(legs["sine"], legs["cosine"]), _with_branch(robot, branch), pose, (6,))
+    return _of_legs(lambda legs, _: np.arctan2(legs["sine"], legs["cosine"]), robot, pose, (6,))
 
 
-def leg_geometry(robot: RobotLike, pose: ArrayLike, branch: int | None = None) -> LegGeometry:
+def leg_geometry(robot: RobotLike, pose: ArrayLike) -> LegGeometry:
     """Directions of cranks and rods at poses (..., 6) [rad, m], Fig. 1; else as `inverse_kinematics`."""
-    legs = at_poses(_legs, _with_branch(robot, branch), {"pose": pose}, (), kind=Legs.layout)
+    legs = at_poses(_legs, robot, {"pose": pose}, (), kind=Legs.layout)
     names = ("rotation", "arm", "crank", "e_n", "e_l", "transmission")
     theta = np.arctan2(legs["sine"], legs["cosine"])
     return LegGeometry(crank_angles=theta, **{name: np.ascontiguousarray(legs[name]) for name in names})
@@ -350,16 +349,6 @@ def conditioning(robot: RobotLike, pose: ArrayLike) -> np.ndarray:
         return np.asarray(sigma[:, -1] / sigma[:, 0])
 
     return _of_legs(ratio, robot, pose, ())
-
-
-def _with_branch(robot: RobotLike, branch: int | None) -> RobotLike:
-    if branch is None:
-        return robot
-    if branch not in (-1, 1):
-        raise ConfigurationError("branch", branch, "-1 or 1, or None")
-    changed = as_record(robot).copy()
-    changed["branch"] = branch
-    return changed
 
 
 @njit

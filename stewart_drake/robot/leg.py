@@ -74,8 +74,8 @@ class LegParameters(Section, key="robot.legs"):
     """[-] angle by which the crank turns over the angle that its motor is commanded and reads; null for 1. `calibrate`
     estimates it; commands and readings of a machine are corrected by that of `model.robot`."""
     servo_middle: Signed | None = None
-    """[rad] reading of the servo, the angle of packets, in the middle of its travel before `model.servos.offset`; null
-    for that at home. `calibrate` writes the guess's: the board turns as before, and cranks start at the true home."""
+    """[rad] reading of the servo, the angle of packets, in the middle of its travel, as it is mounted; null for that at
+    home. `calibrate` writes the guess's: the board turns as before, and cranks start at the true home."""
 
     def rules(self) -> None:
         """Angles rise, directions are unit vectors."""

@@ -25,8 +25,7 @@ from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.metrics import METRICS, OUTCOME, Column, run_cost, run_metrics
 from stewart_drake.scenario.scenario import Scenario
 from stewart_drake.studies.experiment import Experiment, Figures, RunTrials, grouped, not_completed
-from stewart_drake.studies.runs import Row, RowStore, Trial, identity, simulate_unchecked
-from stewart_drake.studies.workers import Workers
+from stewart_drake.studies.runs import Row, Trial, simulate_unchecked
 from stewart_drake.training.situations import HELD_OUT, KINDS, ROBOTS, Case, Changes, kinds_of, situation
 
 SHIPPED = PACKAGE / "weights" / "baselines.yaml"
@@ -37,8 +36,6 @@ MIN_COST = 1e-3
 LOWEST, HIGHEST = np.array([-0.05, -0.8, -2.2, -2.2]), np.array([0.5, 0.7, 0.1, 1.0])
 """Box of settings (4,) for searches and training. The shipped policy has a smaller one, see
 docs/results/tuner.md."""
-ROUGH = ("load jump", "pushes", "blows", "saturation", "stiction")
-"""Kinds in which a stiff loop helps most."""
 DIGITS = 3  # Decimal places of a setting, in runs and in files.
 BEST_FIXED, ORACLE = "best fixed", "oracle of each kind"
 OTHER_FIXED = ("best of each robot", "stiff", "default", "best of the nine pairs")
@@ -64,7 +61,7 @@ class Baselines(Section, key=""):
     name: Text = "baselines"
     best: Numbers
     stiff: Numbers
-    """The best over `ROUGH` kinds alone."""
+    """The best over the kinds in which a stiff loop helps most."""
     best_of_robot: dict[Text, Numbers]
     best_of_kind: dict[Text, dict[Text, Numbers]]
     """Robot -> kind -> the best for it, also for kinds without training: the value of knowing the kind."""
@@ -175,29 +172,8 @@ def candidate_trial(plant: PlantKind, candidate: Candidate, case: Case, name: st
     return Trial(key, scenario.to_dict(), changes, labels, measure_parts, simulate_unchecked)
 
 
-def _work(plant: PlantKind) -> dict[str, object]:
+def work_of(plant: PlantKind) -> dict[str, object]:
     return {"benchmark": plant, "measured": MEASURED}
-
-
-class Benchmark(RowStore):
-    """Runs of candidates for a search, see `RowStore`."""
-
-    def __init__(
-        self,
-        folder: Path,
-        plant: PlantKind,
-        workers: Workers | None = None,
-        progress: Callable[[float], None] | None = None,
-    ) -> None:
-        super().__init__(folder, identity(_work(plant)), workers, progress)
-        self._plant = plant
-
-    def run(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> list[Row]:
-        return self.rows([candidate_trial(self._plant, candidate, case) for candidate in candidates for case in cases])
-
-    def log_costs(self, candidates: Sequence[Candidate], cases: Sequence[Case]) -> np.ndarray:
-        costs = [log_cost(row, CostScales()) for row in self.run(candidates, cases)]
-        return np.reshape(costs, (len(candidates), len(cases)))
 
 
 class Estimate(NamedTuple):
@@ -351,5 +327,5 @@ def evaluation(candidates: Mapping[str, Candidate], seeds: int, plant: PlantKind
         base=Scenario(),
         trials=[candidate_trial(plant, candidate, case, name) for (name, candidate), case in pairs],
         columns=COLUMNS,
-        work=_work(plant),
+        work=work_of(plant),
     )

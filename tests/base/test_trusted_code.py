@@ -125,6 +125,7 @@ def test_a_misspelt_class_is_told_what_was_meant_under_the_key_where_it_stands(p
     scenario = Scenario.from_dict({"reference": f"{parts}:Rize"}, trust_code=True)
     with refused(r"^reference\.kind: .*Rize'; did you mean Rise\?$"):
         scenario.reference.load()
+    assert scenario.replace({"reference": f"{parts}:Rise"}, trust_code=True).reference.load().__name__ == "Rise"
 
 
 def test_trust_stays_with_what_was_read_and_goes_no_further(parts):

@@ -103,6 +103,7 @@ def test_a_study_to_begin_with_is_one_that_its_command_takes(call, tmp_path, stu
         ("run reachy_mini", "the robot reachy_mini'; try: stewart-drake run sway --set robot=reachy_mini"),
         ("run desk.yaml", "the robot desk.yaml'; try: stewart-drake run sway --set robot=desk.yaml"),
         ("robots show mine.yaml", "the scenario mine.yaml'; try: stewart-drake run mine.yaml"),
+        ("run hobby_servos", "the controller hobby_servos'; try: stewart-drake drive hobby_servos --machine sim:"),
         ("sweep exact_heart", "the scenario exact_heart'; try: stewart-drake run exact_heart"),
     ],
 )

@@ -21,23 +21,23 @@ from stewart_drake.scenario.scenario import load_driven
 
 HERE = Path(__file__).parent
 DIRECTION, OFFSET = np.array([1, -1, 1, -1, 1, -1]), np.array([0.05, 0.0, -0.1, 0.02, 0.0, 0.03])
-GAIN = np.array([1.0, 1.05, 0.96, 1.0, 1.02, 1.0])
-SERVOS = {"direction": DIRECTION.tolist(), "offset": OFFSET.tolist(), "gain": GAIN.tolist()}
-LIMITED = load_robot("servo_hexapod").given() | {"legs": [{"crank_angle_range": [-0.8, 1.4]}] * 6}
+SERVOS = {"direction": DIRECTION.tolist()}
+ROBOT = load_robot("servo_hexapod")
+HOME = inverse_kinematics(ROBOT, ROBOT.home_pose)
+MIDDLES = (HOME + OFFSET).tolist()
+LIMITED = ROBOT.given() | {"legs": [{"crank_angle_range": [-0.8, 1.4], "servo_middle": middle} for middle in MIDDLES]}
 CHANGES = {
     "adaptation": None,
     "model": {"robot": LIMITED, "motors": {"kind": "position", "preset": "mg996r"}, "servos": SERVOS},
     "controller.feedforward": "none",
 }
 HOBBY = load_driven("hobby_servos").replace({**CHANGES, "robot": LIMITED, "motors": CHANGES["model"]["motors"]})
-ROBOT = HOBBY.controller_model.robot
-HOME = inverse_kinematics(ROBOT, ROBOT.home_pose)
 TICK = 20_000  # [us]
 
 
 def turned(pulses):
-    """Angles of the cranks at pulses [us], by the data sheet of the MG996R and the servos' own numbers."""
-    return HOME + OFFSET + GAIN * DIRECTION * (np.array(pulses) - 1500.0) * (np.pi / 2000.0)
+    """Angles of the cranks at pulses [us], by the data sheet of the MG996R."""
+    return HOME + OFFSET + DIRECTION * (np.array(pulses) - 1500.0) * (np.pi / 2000.0)
 
 
 class Board:
@@ -122,7 +122,7 @@ def test_pulses_are_those_of_python_and_never_beyond_the_limits(board):
         assert given == wiring.commands(np.full(6, angle)).tolist()
         assert (np.abs(turned(given) - 0.3) <= 1.1 + 1e-9).all()
         wanted, share = np.clip(angle, -0.8, 1.4), 0.5 if -0.8 < angle < 1.4 else 1.0  # of a pulse; inwards at a stop
-        assert (np.abs(turned(given) - wanted) < share * np.pi / 2000.0 * GAIN + 1e-9).all()
+        assert (np.abs(turned(given) - wanted) < share * np.pi / 2000.0 + 1e-9).all()
     assert all(500 <= board.command(leg, np.nan) <= 2500 for leg in range(6))
     assert turned([board.command(leg, 0.3) for leg in range(6)]) == pytest.approx(0.3, abs=1e-3)
     assert [board.library.hexapod_angle(leg, 1700) for leg in range(6)] == pytest.approx(turned([1700] * 6).tolist())
@@ -412,7 +412,7 @@ PRESETS = {"mg996r": "pca9685", "ds3218": "rp2040", "mg90s": "pca9685", "sts3215
 @pytest.mark.parametrize("preset", PRESETS)
 def test_servos_that_people_buy(preset):
     changes = {"motors.preset": preset, "model.motors.preset": preset, "model.servos": None}
-    scenario = HOBBY.replace(changes)
+    scenario = HOBBY.replace({**changes, "model.robot": "servo_hexapod"})
     wiring, motors = wiring_of(scenario, PRESETS[preset]), scenario.motors
     assert wiring.commands(HOME) == pytest.approx(1500 if wiring.kind == "rc" else 2047.5, abs=1)
     assert wiring.commands(HOME + 0.5) - wiring.commands(HOME) == pytest.approx(0.5 * wiring.per_rad, abs=1)
@@ -424,6 +424,9 @@ def test_servos_that_people_buy(preset):
 # --- what does not fit ---
 
 
+FAR_OFF = ROBOT.given() | {"legs": [{"servo_middle": 2.0 if leg == 3 else None} for leg in range(6)]}
+
+
 @pytest.mark.parametrize(
     ("changes", "board", "message"),
     [
@@ -431,7 +434,7 @@ def test_servos_that_people_buy(preset):
         ({}, "uno", r"--board: expected computer, pca9685, rp2040, sts or dynamixel"),
         ({}, "sts", r"--board: expected computer or pca9685 or rp2040, for servos that take microseconds"),
         ({"model.servos.travel": 1.5}, "pca9685", r"robot.legs.0.crank_angle_range: .* -0\.7.* to 0\.7.* rad"),
-        ({"model.servos.offset": [0, 0, 0, 2, 0, 0], "model.robot": "servo_hexapod"}, "rp2040", r"offset\[3\]: .* 3 "),
+        ({"model.robot": FAR_OFF}, "rp2040", r"robot.legs.3.servo_middle: expected within 1.571 rad of .*, got 2.0"),
         ({"model.servos.direction": 0}, "rp2040", r"model.servos.direction: expected 1 or -1, or a list"),
         ({"controller.period": 0.01}, "pca9685", r"controller.period: expected 0.02 to 0.04 s between two commands"),
         ({"model.motors": {"kind": "position"}}, "pca9685", r"model.servos: expected commands .us. and .* mg996r"),
@@ -442,6 +445,12 @@ def test_what_a_board_cannot_do_is_one_line(changes, board, message, tmp_path):
         export_sketch(HOBBY.replace(changes), "hobby", tmp_path / "sketch", board)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "sketch").exists()
+
+
+@pytest.mark.parametrize("key", ["offset", "gain"])
+def test_former_keys_of_the_trim_name_the_ones_of_the_legs(key):
+    with pytest.raises(ConfigurationError, match=rf"servos.{key}: .*it is now servo_.* of the robot's legs"):
+        HOBBY.replace({f"model.servos.{key}": [0.0] * 6})
 
 
 def test_a_controller_that_needs_readings_leaves_poses_to_the_computer(tmp_path, call):
@@ -460,7 +469,7 @@ def test_a_controller_that_needs_readings_leaves_poses_to_the_computer(tmp_path,
 def test_a_computer_sends_nothing_beyond_the_limits_of_the_servos():
     assert command_limits(HOBBY) == pytest.approx(np.array([[-0.8] * 6, [1.4] * 6]))
     free = HOBBY.replace({"model.robot": "servo_hexapod"})
-    assert command_limits(free)[0] == pytest.approx(HOME + OFFSET - GAIN * np.pi / 2)
+    assert command_limits(free)[0] == pytest.approx(HOME - np.pi / 2)
 
 
 @pytest.mark.slow

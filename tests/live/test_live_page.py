@@ -102,7 +102,8 @@ def test_a_push_shows_in_the_trace_and_a_dead_motor_in_the_torque(page):
     page.select_option("#dead", "2")
     wait(page, "last.torque[2] === 0 || last.ended")
     page.click("#reset")
-    wait(page, "last.time < 20 && !last.ended && last.torque[2] !== 0 && document.getElementById('dead').value === ''")
+    wait(page, "last.time < 20 && !last.ended && last.torque[2] !== 0")
+    assert page.input_value("#dead") == ""
 
 
 def test_smoothness_is_there_where_the_controller_has_a_tuner(browser):
@@ -342,6 +343,7 @@ def test_the_second_robot_is_in_the_plots(page):
     wait(page, "document.querySelector('#traces .u-title').textContent.includes('(pale: ')")
     page.select_option("#ghost", "")
     wait(page, "traces.error.data[2].every((value) => value === null)")
+    assert page.evaluate("last.ghost") == ""
 
 
 def test_a_step_is_asked_for_and_its_figures_and_curves_are_shown(page):
@@ -362,10 +364,12 @@ def test_keys_pause_move_and_reset_but_not_while_something_is_typed(page):
     page.keyboard.press("Shift+ArrowUp")
     wait(page, "last.target[3] > about.home[3] + 0.001 && last.target[5] > about.home[5] + 0.001")
     page.focus("#test-size")
+    before = page.evaluate("last.time")
     page.keyboard.press("r")
     page.keyboard.press("ArrowRight")
     page.evaluate("document.activeElement.blur()")
     wait(page, "!sending && last.obeyed >= told && last.target[3] > about.home[3] + 0.001")
+    assert page.evaluate("last.time") >= before
     page.keyboard.press("r")
     wait(page, "Math.abs(last.target[3] - about.home[3]) < 1e-9 && last.time < 5")
 

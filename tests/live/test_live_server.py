@@ -179,6 +179,7 @@ def test_who_never_reads_is_given_up(server):
         for _ in range(MAX_PAGES):
             ends.enter_context(listen(server))
         wait_for_room(server)
+        assert status(server, "GET /events") == 200
 
 
 def test_one_who_reads_slowly_misses_rows_and_nobody_keeps_them():

@@ -208,14 +208,14 @@ def test_unknown_names_have_a_suggestion():
 @pytest.mark.slow
 def test_the_package_imports_nothing_and_commands_and_scenarios_nothing_heavy():
     code = (
-        "import sys, stewart_drake; assert not {'numpy', 'pydantic'} & set(sys.modules);"
+        "import sys, stewart_drake; print({'numpy', 'pydantic'} & set(sys.modules));"
         "import stewart_drake.cli.app; from stewart_drake import load_scenario; load_scenario('exact_fig7');"
         "heavy = ('pydrake', 'torch', 'matplotlib', 'pyarrow', 'scipy.optimize');"
-        "assert not [name for name in sys.modules if name.startswith(heavy)];"
+        "print([name for name in sys.modules if name.startswith(heavy)]);"
         "from numba.core.dispatcher import Dispatcher; import gc;"
-        "assert not [each for each in gc.get_objects() if isinstance(each, Dispatcher) and each.signatures]"
+        "print([each for each in gc.get_objects() if isinstance(each, Dispatcher) and each.signatures])"
     )
-    python("-c", code)
+    assert python("-c", code).split() == ["set()", "[]", "[]"]
 
 
 def test_a_scenario_and_its_robot_show_themselves_in_ten_lines():
