@@ -6,11 +6,17 @@ R. Mahony, T. Hamel, J.-M. Pflimlin, IEEE Trans. Autom. Control 53, 2008). The d
 vector. An encoder that is wrong moves it along a line of its own, one of six, which the Jacobian gives; an inertial
 sensor that is wrong moves it along none of them.
 
-Gravity says nothing about a turn around it, so this part of the orientation follows the encoders slowly.
+There are two bounds: one on the whole difference, and a lower one on its change within a tenth of a second, in which
+biases do not count. A sensor that is silent, repeats itself, or has an implausible bias is wrong too.
+
+Gravity is the measured force less the acceleration of the encoders' pose, a second difference over blocks of samples;
+the forces are weighted as accelerations are in it. So no push and no blow moves the tilt. Gravity says nothing about a
+turn around it, so this part of the orientation follows the encoders slowly.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +25,8 @@ from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Mat3, Mat6x3, Record, Vec2, Vec3, Vec6, Vec18, record
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
+from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot, cross, dot, turned
 from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, set_to, solve
 from stewart_drake.robot.gravity import gravity_vector
@@ -26,27 +34,56 @@ from stewart_drake.robot.gravity import gravity_vector
 if TYPE_CHECKING:
     from stewart_drake.hardware.imu import ImuOptions
 
-ALIGNMENT = 0.5  # [s] from the start in which biases are found; the robot's readings are believed in that time.
-TILT_TIME, BIAS_TIME, TURN_TIME = 1.0, 20.0, 5.0
+ALIGNMENT = 0.5  # [s] from the start in which biases are found.
+TILT_TIME, BIAS_TIME, TURN_TIME = 1.5, 10.0, 5.0
 """[s] in which gravity corrects the tilt and the gyroscopes' bias, and encoders the turn around gravity; assumed."""
-TRUSTED_FORCE = 0.2  # Share of gravity by which the specific force may differ from the expected one.
-CONFIRMED = 3.0  # Samples in a row beyond the bound, less those within it.
+BLOCK = 0.01  # [s] least time between two positions of a second difference.
+CHANGE_TIME, CHANGE_SHARE = 0.1, 0.2
+"""[s] in which the difference may change by this share of its bound, besides noise and errors of scale."""
+SIGMAS, MOUNTING_ERROR = 6.0, 0.01
+"""Standard deviations for which bounds have room; [rad] error of the sensor's mounting; assumed."""
+LARGEST_RATE, LARGEST_TILT = math.radians(1.0), math.radians(4.0)
+"""[rad/s], [rad] by which a bias may be larger: encoders' noise at the start, and a tilt of the base; assumed."""
+SILENT, SILENT_PERIODS = 0.1, 5.0  # [s], [periods of the sensor] without a sample after which it has failed.
+REPEATS = 10.0  # Samples in a row that noise never repeats to the last bit.
+CONFIRMED, LEAST_TIME = 3.0, 0.005
+"""Samples in a row beyond a bound, less those within it; [s] that one counts at least where readings fit no pose."""
 ONE_LINE, OTHER_LINES = 0.35, 0.7
 """Share of the difference that is off a leg's line, below which the leg is named; and its largest share of that of the
 next leg."""
 ITERATIONS, TOLERANCE = 3, 1e-9  # Steps of Newton's method; [m] error of a rod.
-AGREES, DIFFERS = 0, 1
+AGREES, DIFFERS, CHANGED, FAILED = range(4)
+"""DIFFERS: by more than the bound. CHANGED: too fast. FAILED: the sensor, or the readings fit no pose."""
 
 
 class ParityParams(Record):
     """Parameters of the comparison."""
 
     period: float  # [s] of a sample.
+    tick: float  # [s]
     gravity: Vec3  # [m/s^2] in B.
     mounting: Mat3  # R_PI of the sensor.
     place: Vec3  # [m] of the sensor in P.
     later: float  # [s] by which a sample of the inertial sensor is older than a reading of the encoders.
-    bound: float  # [rad] largest difference of the two orientations.
+    bound: float  # [rad] largest difference of the two orientations, infinite for none.
+    change: float  # [rad] largest change of the difference in `CHANGE_TIME`.
+    share: float  # [-] of the turn by which both may be larger.
+    bias: Vec2  # [rad/s, m/s^2] largest plausible biases.
+    silent: float  # [s] longest time without a sample.
+    repeats: float  # Times that a sample may be repeated to the last bit.
+
+
+class ForceBlock(Record):
+    """The samples since the last position for a second difference."""
+
+    count: float  # Positions so far.
+    time: float  # [s]
+    impulse: Vec3  # [m/s] integral of the measured force in B.
+    path: Vec3  # [m] integral of that.
+    last_impulse: Vec3  # Of the block before.
+    last_path: Vec3
+    place: Vec3  # [m] of the sensor in B at the start of the block.
+    step: Vec3  # [m] to there from the start of the block before.
 
 
 class ParityState(Record):
@@ -54,12 +91,20 @@ class ParityState(Record):
 
     parity: Vec2  # 1 while the two differ, else 0; the leg whose reading is wrong, -1 for none.
     samples: float  # Number of samples so far.
+    elapsed: float  # [s] since the last sample.
+    unread: float  # [s] since the last pose.
     pose: Vec6  # [rad, m] of the encoders.
     rotation: Mat3  # R_BP of the inertial sensor.
     rate_bias: Vec3  # [rad/s] of the gyroscopes, in P.
     force_bias: Vec3  # [m/s^2] of the accelerometers, in P.
     difference: Vec3  # [rad] rotation in B from the inertial sensor's orientation to the encoders'.
-    count: float  # Samples beyond the bound, less those within it.
+    change: Vec3  # [rad] of this difference in `CHANGE_TIME`.
+    turn: Vec3  # [rad] of the platform in this time.
+    swing: Vec3  # [rad] of the platform in `TILT_TIME`.
+    count: float  # Samples beyond a bound, less those within it.
+    sample: Vec6  # The last one.
+    repeats: float  # Times that it has been repeated.
+    block: ForceBlock
 
 
 @njit
@@ -106,26 +151,6 @@ def turned_back(matrix: Mat3, vector: Vec3, out: Vec3) -> None:
 
 
 @njit
-def sensor_acceleration(place: Vec3, reference: Vec18, out: Vec3) -> None:
-    """Acceleration [m/s^2] in B of a place (3,) [m] in P, in the motion of a reference (18,)."""
-    turn, arm, omega, alpha, drift = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    rpy = reference[:3]
-    laws.rotation(rpy, turn)
-    turned(turn, place, arm)
-    laws.angular_velocity(rpy, reference[6:9], omega)
-    laws.angular_velocity(rpy, reference[12:15], alpha)
-    laws.euler_drift(rpy, reference[6:9], drift)
-    inner, outer = np.empty(3), np.empty(3)
-    cross(omega, arm, inner)
-    cross(omega, inner, outer)
-    for k in range(3):
-        alpha[k] += drift[k]
-    cross(alpha, arm, inner)
-    for k in range(3):
-        out[k] = reference[15 + k] + inner[k] + outer[k]
-
-
-@njit
 def encoder_lines(legs: Legs, out: Mat6x3) -> bool:
     """Turn of the platform [rad] in B per radian of each crank, rows (6, 3); False at a singularity."""
     columns, lines = np.zeros((6, 6)), legs.line.copy()
@@ -167,97 +192,155 @@ def parity_sample(
 ) -> int:
     """A sample: readings (6,) [rad] of the encoders; rates [rad/s] and specific force [m/s^2] (6,) of the sensor.
 
-    A sample of the sensor is the mean of the time since the last one.
+    A sample of the sensor is the mean of the time since the last one. Readings that are not finite are left out.
 
     Returns:
-        AGREES or DIFFERS; `legs` are those of the encoders' pose. Samples that are not finite are left out.
+        AGREES, DIFFERS, CHANGED or FAILED; `legs` are those of the encoders' pose.
     """
-    if not (all_finite(angles) and all_finite(imu)):
-        return AGREES
-    pose, before = state.pose[:], np.empty((3, 3))
-    is_first = state.samples == 0.0
-    if is_first:
-        copy_to(pose, reference[:6])
-    laws.rotation(pose[:3], before)
+    rates, force, before = np.empty(3), np.empty(3), np.empty((3, 3))
+    state.unread += state.elapsed
+    if state.samples == 0.0:
+        copy_to(state.pose[:], reference[:6])
+    laws.rotation(state.pose[:3], before)
+    is_read = all_finite(angles)
+    fits = is_read and _read(robot, angles, legs, state)
+    if state.samples == 0.0 and fits:
+        for k in range(3):
+            copy_to(state.rotation[k], legs.rotation[k])
+    elif state.samples > 0.0:
+        turned(params.mounting, imu[:3], rates)
+        turned(params.mounting, imu[3:], force)
+        _turn(rates, state)
+        aligning = state.samples * params.period <= ALIGNMENT
+        if fits:
+            _compare(params, legs, before, aligning, state)
+        _weigh(params, legs, force, fits, aligning, state)
+    state.samples += 1.0 if fits or state.samples > 0.0 else 0.0
+    contradict = is_read and not fits and state.unread >= CONFIRMED * max(params.period, LEAST_TIME)
+    result = FAILED if contradict else _judge(params, imu, state)
+    state.elapsed, state.unread = 0.0, 0.0 if fits else state.unread
+    state.count = min(max(0.0, state.count + (1.0 if result != AGREES else -1.0)), CONFIRMED)
+    return result if contradict or state.count >= CONFIRMED else AGREES
+
+
+@njit
+def _read(robot: Robot, angles: Vec6, legs: Legs, state: ParityState) -> bool:
+    """Pose and legs of readings; False, and the last pose, where there is none."""
+    pose = state.pose.copy()
     error, _ = laws.forward_kinematics(robot, angles, pose, TOLERANCE, ITERATIONS)
     if not error <= 1e-3 * robot.length or laws.legs_at(robot, pose, legs) >= 0:
-        return AGREES
-    if is_first:
-        for k in range(3):
-            copy_to(before[k], legs.rotation[k])
-    rates, force, expected = np.empty(3), np.empty(3), np.empty(3)
-    turned(params.mounting, imu[:3], rates)
-    turned(params.mounting, imu[3:], force)
-    sensor_acceleration(params.place, reference, expected)
-    for k in range(3):
-        expected[k] -= params.gravity[k]
-    state.samples += 1.0
-    if state.samples * params.period <= ALIGNMENT:
-        _align(params, legs, before, rates, force, expected, state)
-        return AGREES
-    _turn(params, legs, before, rates, force, expected, state)
-    size = np.sqrt(dot(state.difference, state.difference))
-    state.count = max(0.0, state.count + (1.0 if size > params.bound else -1.0))
-    state.count = min(state.count, CONFIRMED)
-    return DIFFERS if state.count >= CONFIRMED else AGREES
+        return False
+    copy_to(state.pose[:], pose)
+    return True
 
 
 @njit
-def _align(
-    params: ParityParams, legs: Legs, before: Mat3, rates: Vec3, force: Vec3, expected: Vec3, state: ParityState
-) -> None:
-    """Finds both biases as means; the orientation is that of the encoders."""
-    turn, share = np.empty(3), 1.0 / state.samples
-    rotation_between(legs.rotation, before, turn)
-    for k in range(3):
-        copy_to(state.rotation[k], legs.rotation[k])
-    true_rate, true_force = np.empty(3), np.empty(3)
-    turned_back(legs.rotation, turn, true_rate)
-    turned_back(legs.rotation, expected, true_force)
-    for k in range(3):
-        state.rate_bias[k] += share * (rates[k] - true_rate[k] / params.period - state.rate_bias[k])
-        state.force_bias[k] += share * (force[k] - true_force[k] - state.force_bias[k])
-
-
-@njit
-def _turn(
-    params: ParityParams, legs: Legs, before: Mat3, rates: Vec3, force: Vec3, expected: Vec3, state: ParityState
-) -> None:
-    """Turns the inertial orientation, corrects it by gravity, and compares it with the encoders'."""
-    rotation, step, h = state.rotation[:], np.empty(3), params.period
+def _turn(rates: Vec3, state: ParityState) -> None:
+    """Turns the inertial orientation by a sample of the gyroscopes [rad/s] in P."""
+    step, h = np.empty(3), state.elapsed
     for k in range(3):
         rates[k] -= state.rate_bias[k]
-        force[k] -= state.force_bias[k]
-    turned(rotation, rates, step)
+    turned(state.rotation, rates, step)
+    keep, keep_swing = np.exp(-h / CHANGE_TIME), np.exp(-h / TILT_TIME)
     for k in range(3):
         step[k] *= h
-    turn_by(step, rotation)
-    # Gravity: the tilt that turns the measured force into the expected one.
-    measured, tilt, in_platform = np.empty(3), np.zeros(3), np.empty(3)
-    turned(rotation, force, measured)
-    weight, largest = np.sqrt(dot(expected, expected)), np.sqrt(dot(params.gravity, params.gravity))
-    if abs(np.sqrt(dot(measured, measured)) - weight) < TRUSTED_FORCE * largest:
-        cross(measured, expected, tilt)
-        for k in range(3):
-            tilt[k] *= h / (TILT_TIME * weight**2)
-        turn_by(tilt, rotation)
-        turned_back(rotation, tilt, in_platform)
-        for k in range(3):
-            state.rate_bias[k] -= in_platform[k] / BIAS_TIME
-    difference = state.difference[:]
-    rotation_between(legs.rotation, rotation, difference)
-    # Around gravity: the encoders.
-    around = dot(difference, params.gravity) / largest**2 * h / TURN_TIME
-    for k in range(3):
-        step[k] = around * params.gravity[k]
-    turn_by(step, rotation)
-    turned_back(rotation, step, in_platform)
-    for k in range(3):
-        state.rate_bias[k] -= in_platform[k] / BIAS_TIME
+        state.change[k] *= keep
+        state.turn[k] = keep * state.turn[k] + step[k]
+        state.swing[k] = keep_swing * state.swing[k] + step[k]
+    turn_by(step, state.rotation[:])
+
+
+@njit
+def _compare(params: ParityParams, legs: Legs, before: Mat3, aligning: bool, state: ParityState) -> None:
+    """Difference of the encoders' orientation from the inertial one, and its change; `before` is that of the last pose.
+
+    While biases are found, as means, the difference corrects all of the orientation, later that around gravity.
+    """
+    now, step, in_platform = np.empty(3), np.empty(3), np.empty(3)
+    rotation_between(legs.rotation, state.rotation, now)
     # The encoders' turn since a sample of this age.
     rotation_between(legs.rotation, before, step)
+    around = dot(now, params.gravity) / dot(params.gravity, params.gravity) * state.unread / TURN_TIME
     for k in range(3):
-        difference[k] -= step[k] * params.later / h
+        now[k] -= step[k] * params.later / state.unread
+        state.change[k] += now[k] - state.difference[k]
+        step[k] = now[k] if aligning else around * params.gravity[k]
+        state.difference[k] = now[k] - step[k]
+    turn_by(step, state.rotation[:])
+    turned_back(state.rotation, step, in_platform)
+    share = 1.0 / (state.unread * state.samples) if aligning else 1.0 / BIAS_TIME
+    for k in range(3):
+        state.rate_bias[k] -= share * in_platform[k]
+
+
+@njit
+def _weigh(params: ParityParams, legs: Legs, force: Vec3, fits: bool, aligning: bool, state: ParityState) -> None:
+    """Corrects the tilt by a sample of the accelerometers [m/s^2] in P; while biases are found, finds theirs."""
+    block, in_base, h, time = state.block, np.empty(3), state.elapsed, state.block.time + state.elapsed
+    for k in range(3):
+        force[k] -= 0.0 if aligning else state.force_bias[k]
+    turned(state.rotation, force, in_base)
+    for k in range(3):
+        block.path[k] += h * (block.impulse[k] + 0.5 * h * in_base[k])
+        block.impulse[k] += h * in_base[k]
+    block.time = time
+    if not fits:
+        block.count = 0.0
+    elif block.count == 0.0 or time >= BLOCK - 1e-9:
+        place, excess, step = np.empty(3), np.empty(3), np.empty(3)
+        turned(legs.rotation, params.place, place)
+        for k in range(3):
+            step[k] = place[k] + state.pose[3 + k] - block.place[k]
+            change = block.path[k] - block.last_path[k] + time * block.last_impulse[k] - step[k] + block.step[k]
+            excess[k] = change / time**2 + params.gravity[k]
+            block.place[k] += step[k]
+            block.step[k] = step[k]
+            block.last_path[k], block.last_impulse[k] = block.path[k], block.impulse[k]
+            block.path[k], block.impulse[k] = 0.0, 0.0
+        block.time = 0.0
+        block.count += 1.0
+        if block.count >= 3.0:
+            _tilt(params, excess, time, aligning, state)
+
+
+@njit
+def _tilt(params: ParityParams, excess: Vec3, time: float, aligning: bool, state: ParityState) -> None:
+    """Corrects the tilt by what forces in a time [s] exceed the expected ones [m/s^2] in B."""
+    step, in_platform = np.empty(3), np.empty(3)
+    if aligning:
+        turned_back(state.rotation, excess, in_platform)
+        for k in range(3):
+            state.force_bias[k] += (in_platform[k] - state.force_bias[k]) / (state.block.count - 2.0)
+        return
+    cross(params.gravity, excess, step)
+    for k in range(3):
+        step[k] *= time / (TILT_TIME * dot(params.gravity, params.gravity))
+        state.difference[k] -= step[k]
+    turn_by(step, state.rotation[:])
+    turned_back(state.rotation, step, in_platform)
+    for k in range(3):
+        state.rate_bias[k] -= in_platform[k] / BIAS_TIME
+
+
+@njit
+def _judge(params: ParityParams, imu: Vec6, state: ParityState) -> int:
+    """Whether a sample is plausible, and agrees with the encoders."""
+    same, plausible, change, difference = True, True, state.change, state.difference
+    for k in range(6):
+        same = same and imu[k] == state.sample[k]
+    copy_to(state.sample[:], imu)
+    state.repeats = state.repeats + 1.0 if same else 0.0
+    if state.samples * params.period <= CHANGE_TIME:
+        return AGREES
+    for k in range(3):
+        plausible = plausible and abs(state.rate_bias[k]) <= params.bias[0]
+        plausible = plausible and abs(state.force_bias[k]) <= params.bias[1]
+    if not plausible or state.repeats >= params.repeats:
+        return FAILED
+    if np.sqrt(dot(change, change)) > params.change + params.share * np.sqrt(dot(state.turn, state.turn)):
+        return CHANGED
+    bound = params.bound + params.share * np.sqrt(dot(state.swing, state.swing))
+    return DIFFERS if np.sqrt(dot(difference, difference)) > bound else AGREES
 
 
 @njit
@@ -266,25 +349,44 @@ def parity_tick(
 ) -> None:
     """A tick; `imu` (6,) is NaN where there is no new sample."""
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
-    if parity_sample(robot, params, reading, imu, reference, legs, state) == AGREES:
+    state.elapsed += params.tick
+    result, lines = AGREES, np.empty((6, 3))
+    if all_finite(imu):
+        result = parity_sample(robot, params, reading, imu, reference, legs, state)
+    elif state.elapsed > params.silent:
+        result = FAILED
+    elif state.parity[0] != 0.0:
+        return
+    if result == AGREES or params.bound == np.inf:
         state.parity[0], state.parity[1] = 0.0, -1.0
     elif state.parity[0] == 0.0:
-        lines = np.empty((6, 3))
-        leg = suspect_leg(lines, state.difference)[0] if encoder_lines(legs, lines) else -1
-        state.parity[0], state.parity[1] = 1.0, float(leg)
+        wrong = state.change if result == CHANGED else state.difference
+        known = result != FAILED and encoder_lines(legs, lines)
+        state.parity[0], state.parity[1] = 1.0, float(suspect_leg(lines, wrong)[0]) if known else -1.0
 
 
 def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:
     """`reading` (6,) [rad], `imu` (6,), `reference` (18,) -> `parity` (2,), for a bound [rad] of the difference."""
+    period, robot, noise = imu.period or context.period, context.robot, imu.noise(CHANGE_TIME)[:3].max()
+    by_crank = np.linalg.inv(twist_jacobian(robot, robot.home_pose))[:3]
+    noise = math.hypot(CHANGE_TIME * noise, np.linalg.norm(by_crank, 2) * math.sqrt(2.0) * context.noise)
+    share = SIGMAS * imu.scale_error
+    force_bias = SIGMAS * imu.accelerometer_bias + (math.sin(LARGEST_TILT) + share) * STANDARD_GRAVITY
     params = ParityParams.new(
-        period=imu.period or context.period,
+        period=period,
+        tick=context.period,
         gravity=gravity_vector(context.gravity),
         mounting=imu.mounting,
         place=imu.position,
         later=imu.delay - context.reading_age,
         bound=bound,
+        change=CHANGE_SHARE * bound + SIGMAS * noise,
+        share=share + MOUNTING_ERROR,
+        bias=(SIGMAS * imu.gyro_bias + LARGEST_RATE, force_bias),
+        silent=max(SILENT, SILENT_PERIODS * period),
+        repeats=REPEATS if (imu.noise(period) > imu.quantum).any() else np.inf,
     )
-    inputs, parameters = {"reading": 6, "imu": 6, "reference": 18}, {"robot": laws.robot_record(context.robot)}
+    inputs, parameters = {"reading": 6, "imu": 6, "reference": 18}, {"robot": laws.robot_record(robot)}
     first = ParityState.new(parity=[0.0, -1.0])
     part = Part("parity", parity_tick, {}, inputs, ("parity",), first, (Legs,))
     return part._replace(parameters=parameters | {"params": params})
@@ -301,12 +403,11 @@ def parity_rows(
     state: ParityState,
     out: np.ndarray,
 ) -> int:
-    """`parity_sample` of rows; differences (n, 3) [rad]. Returns the first row that differs, or -1."""
-    robot, params, legs, state = record(robot), record(params), record(legs), record(state)
-    first = -1
+    """`parity_tick` of rows; differences (n, 3) [rad]. Returns the first row in which the two differ, or -1."""
+    first, now = -1, record(state)
     for row in range(len(angles)):
-        result = parity_sample(robot, params, angles[row], imu[row], references[row], legs, state)
-        copy_to(out[row], state.difference)
-        if result == DIFFERS and first < 0:
+        parity_tick(robot, params, angles[row], imu[row], references[row], legs, state)
+        copy_to(out[row], now.difference)
+        if now.parity[0] != 0.0 and first < 0:
             first = row
     return first
