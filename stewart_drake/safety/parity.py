@@ -37,9 +37,12 @@ if TYPE_CHECKING:
 ALIGNMENT = 0.5  # [s] from the start in which biases are found.
 TILT_TIME, BIAS_TIME, TURN_TIME = 1.5, 10.0, 5.0
 """[s] in which gravity corrects the tilt and the gyroscopes' bias, and encoders the turn around gravity; assumed."""
+MOST_TILT = 0.02
+"""[rad] largest tilt with which gravity corrects. More of it is an acceleration that wrong readings do not show."""
 BLOCK = 0.01  # [s] least time between two positions of a second difference.
-CHANGE_TIME, CHANGE_SHARE = 0.1, 0.2
-"""[s] in which the difference may change by this share of its bound, besides noise and errors of scale."""
+CHANGE_TIME, CHANGE_PERIODS, CHANGE_SHARE = 0.1, 10.0, 0.2
+"""[s], [periods of the sensor] in which the difference may change by this share of its bound, besides noise and errors
+of scale."""
 SIGMAS, MOUNTING_ERROR = 6.0, 0.01
 """Standard deviations for which bounds have room; [rad] error of the sensor's mounting; assumed."""
 LARGEST_RATE, LARGEST_TILT = math.radians(1.0), math.radians(4.0)
@@ -66,7 +69,8 @@ class ParityParams(Record):
     place: Vec3  # [m] of the sensor in P.
     later: float  # [s] by which a sample of the inertial sensor is older than a reading of the encoders.
     bound: float  # [rad] largest difference of the two orientations, infinite for none.
-    change: float  # [rad] largest change of the difference in `CHANGE_TIME`.
+    change_time: float  # [s] in which changes of the difference are compared.
+    change: float  # [rad] largest change of the difference in this time.
     share: float  # [-] of the turn by which both may be larger.
     bias: Vec2  # [rad/s, m/s^2] largest plausible biases.
     silent: float  # [s] longest time without a sample.
@@ -98,7 +102,7 @@ class ParityState(Record):
     rate_bias: Vec3  # [rad/s] of the gyroscopes, in P.
     force_bias: Vec3  # [m/s^2] of the accelerometers, in P.
     difference: Vec3  # [rad] rotation in B from the inertial sensor's orientation to the encoders'.
-    change: Vec3  # [rad] of this difference in `CHANGE_TIME`.
+    change: Vec3  # [rad] of this difference in `change_time`.
     turn: Vec3  # [rad] of the platform in this time.
     swing: Vec3  # [rad] of the platform in `TILT_TIME`.
     count: float  # Samples beyond a bound, less those within it.
@@ -210,7 +214,7 @@ def parity_sample(
     elif state.samples > 0.0:
         turned(params.mounting, imu[:3], rates)
         turned(params.mounting, imu[3:], force)
-        _turn(rates, state)
+        _turn(params, rates, state)
         aligning = state.samples * params.period <= ALIGNMENT
         if fits:
             _compare(params, legs, before, aligning, state)
@@ -235,19 +239,26 @@ def _read(robot: Robot, angles: Vec6, legs: Legs, state: ParityState) -> bool:
 
 
 @njit
-def _turn(rates: Vec3, state: ParityState) -> None:
+def _turn(params: ParityParams, rates: Vec3, state: ParityState) -> None:
     """Turns the inertial orientation by a sample of the gyroscopes [rad/s] in P."""
     step, h = np.empty(3), state.elapsed
     for k in range(3):
         rates[k] -= state.rate_bias[k]
     turned(state.rotation, rates, step)
-    keep, keep_swing = np.exp(-h / CHANGE_TIME), np.exp(-h / TILT_TIME)
+    keep, keep_swing = np.exp(-h / params.change_time), np.exp(-h / TILT_TIME)
     for k in range(3):
         step[k] *= h
         state.change[k] *= keep
         state.turn[k] = keep * state.turn[k] + step[k]
         state.swing[k] = keep_swing * state.swing[k] + step[k]
     turn_by(step, state.rotation[:])
+
+
+@njit
+def _has_changed(params: ParityParams, state: ParityState) -> bool:
+    """Whether the difference has changed by more than noise and errors of scale explain."""
+    largest = params.change + params.share * np.sqrt(dot(state.turn, state.turn))
+    return state.samples * params.period > params.change_time and dot(state.change, state.change) > largest * largest
 
 
 @njit
@@ -264,6 +275,8 @@ def _compare(params: ParityParams, legs: Legs, before: Mat3, aligning: bool, sta
     for k in range(3):
         now[k] -= step[k] * params.later / state.unread
         state.change[k] += now[k] - state.difference[k]
+    aligning = aligning and not _has_changed(params, state)
+    for k in range(3):
         step[k] = now[k] if aligning else around * params.gravity[k]
         state.difference[k] = now[k] - step[k]
     turn_by(step, state.rotation[:])
@@ -313,8 +326,9 @@ def _tilt(params: ParityParams, excess: Vec3, time: float, aligning: bool, state
             state.force_bias[k] += (in_platform[k] - state.force_bias[k]) / (state.block.count - 2.0)
         return
     cross(params.gravity, excess, step)
+    share = time / (TILT_TIME * max(dot(params.gravity, params.gravity), np.sqrt(dot(step, step)) / MOST_TILT))
     for k in range(3):
-        step[k] *= time / (TILT_TIME * dot(params.gravity, params.gravity))
+        step[k] *= share
         state.difference[k] -= step[k]
     turn_by(step, state.rotation[:])
     turned_back(state.rotation, step, in_platform)
@@ -325,19 +339,19 @@ def _tilt(params: ParityParams, excess: Vec3, time: float, aligning: bool, state
 @njit
 def _judge(params: ParityParams, imu: Vec6, state: ParityState) -> int:
     """Whether a sample is plausible, and agrees with the encoders."""
-    same, plausible, change, difference = True, True, state.change, state.difference
+    same, plausible, difference = True, True, state.difference
     for k in range(6):
         same = same and imu[k] == state.sample[k]
     copy_to(state.sample[:], imu)
     state.repeats = state.repeats + 1.0 if same else 0.0
-    if state.samples * params.period <= CHANGE_TIME:
+    if state.samples * params.period <= params.change_time:
         return AGREES
     for k in range(3):
         plausible = plausible and abs(state.rate_bias[k]) <= params.bias[0]
         plausible = plausible and abs(state.force_bias[k]) <= params.bias[1]
     if not plausible or state.repeats >= params.repeats:
         return FAILED
-    if np.sqrt(dot(change, change)) > params.change + params.share * np.sqrt(dot(state.turn, state.turn)):
+    if _has_changed(params, state):
         return CHANGED
     bound = params.bound + params.share * np.sqrt(dot(state.swing, state.swing))
     return DIFFERS if np.sqrt(dot(difference, difference)) > bound else AGREES
@@ -367,9 +381,11 @@ def parity_tick(
 
 def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:
     """`reading` (6,) [rad], `imu` (6,), `reference` (18,) -> `parity` (2,), for a bound [rad] of the difference."""
-    period, robot, noise = imu.period or context.period, context.robot, imu.noise(CHANGE_TIME)[:3].max()
+    period, robot = imu.period or context.period, context.robot
+    change_time = max(CHANGE_TIME, CHANGE_PERIODS * period)
     by_crank = np.linalg.inv(twist_jacobian(robot, robot.home_pose))[:3]
-    noise = math.hypot(CHANGE_TIME * noise, np.linalg.norm(by_crank, 2) * math.sqrt(2.0) * context.noise)
+    noise = change_time * imu.noise(change_time)[:3].max()
+    noise = math.hypot(noise, np.linalg.norm(by_crank, 2) * math.sqrt(2.0) * context.noise)
     share = SIGMAS * imu.scale_error
     force_bias = SIGMAS * imu.accelerometer_bias + (math.sin(LARGEST_TILT) + share) * STANDARD_GRAVITY
     params = ParityParams.new(
@@ -380,6 +396,7 @@ def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:
         place=imu.position,
         later=imu.delay - context.reading_age,
         bound=bound,
+        change_time=change_time,
         change=CHANGE_SHARE * bound + SIGMAS * noise,
         share=share + MOUNTING_ERROR,
         bias=(SIGMAS * imu.gyro_bias + LARGEST_RATE, force_bias),

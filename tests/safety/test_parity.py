@@ -90,7 +90,14 @@ def samples(scenario, duration, seed=0):
     imu = np.hstack([omega, turns.apply(force - GRAVITY)])
     imu += np.repeat(NOISE, 3) * random.normal(size=imu.shape) + np.repeat(BIAS, 3) * random.normal(size=6)
     angles = inverse_kinematics(scenario.robot, reference[:, :6]) + 1e-4 * random.normal(size=(len(times), 6))
-    sizes = {"bound": BOUND, "change": 0.5 * BOUND, "bias": (1.0, 1.0), "silent": 0.1, "repeats": 10.0}
+    sizes = {
+        "bound": BOUND,
+        "change": 0.5 * BOUND,
+        "change_time": 0.1,
+        "bias": (1.0, 1.0),
+        "silent": 0.1,
+        "repeats": 10.0,
+    }
     params = ParityParams.new(period=PERIOD, tick=PERIOD, gravity=GRAVITY, mounting=np.eye(3), place=place, **sizes)
     return params, angles, imu, reference
 
