@@ -120,6 +120,7 @@ def _faults(*kinds: str, **others: str) -> Table:
 
 ENCODER_FAULTS = _faults("freeze", "nan", "jump", "late", "drift", "reversed", "inverted", "swapped")
 POSE_FAULTS = _faults("freeze", "nan", "late")
+IMU_FAULTS = _faults("freeze", "nan", "jump", "drift", "late", "inverted")
 COMMAND_FAULTS = _faults("nan", "inf", offset="jump", chatter="chatter")
 MOTOR_FAULTS = _faults(reversed="inverted", swapped="swapped")
 

@@ -17,7 +17,7 @@ from stewart_drake.base.families import Table
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Mat3, Record, Vec3, Vec6, Vec12, record
 from stewart_drake.base.sampling import on_grid, steps_per
-from stewart_drake.hardware.faults import tick_numbers
+from stewart_drake.hardware.faults import ImuFault, faulty_sensor_part, tick_numbers
 from stewart_drake.hardware.motors import delay_part
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics import kinematics_laws as laws
@@ -45,7 +45,7 @@ PRESETS: dict[str, dict[str, float]] = {
 }
 
 
-class ImuOptions(Section, key="sensors.imu"):
+class ImuOptions(Section, key="model.imu"):
     """An inertial sensor on the platform; the defaults are those of a BMI088."""
 
     preset: Annotated[Text, Table(dict(PRESETS))] | None = None
@@ -104,6 +104,18 @@ class ImuOptions(Section, key="sensors.imu"):
     def mounting(self) -> np.ndarray:
         """(3, 3) R_PS, the sensor's axes in P."""
         return rotation_matrix(np.array(self.rotation))
+
+
+class SimulatedImu(ImuOptions, key="sensors.imu"):
+    """The simulated inertial sensor on the platform; the defaults are those of a BMI088."""
+
+    faults: tuple[ImuFault, ...] = ()
+    """Faults of the sensor, applied in order."""
+
+    @property
+    def nominal(self) -> ImuOptions:
+        """The same without its faults, for the model of a controller."""
+        return ImuOptions(**{name: value for name, value in self.given().items() if name != "faults"})
 
 
 class ImuParams(Record):
@@ -216,10 +228,14 @@ def imu_part(options: ImuOptions, gravity: Gravity, step: float, period: float) 
     return part._replace(period=step)
 
 
-def imu_parts(options: ImuOptions, gravity: Gravity, step: float, period: float, start: np.ndarray) -> list[Part]:
-    """`imu_part`, behind the delay of its readings; `start` (12,) is the first `plant_pose`."""
-    part, late = imu_part(options, gravity, step, period), round(options.delay / step)
-    if late == 0:
-        return [part]
-    delay = delay_part(late, start, "imu_delay")._replace(period=step).connected(value="plant_pose")
-    return [delay.named(value="imu_motion"), part.connected(plant_pose="imu_motion")]
+def imu_parts(options: SimulatedImu, gravity: Gravity, step: float, period: float, start: np.ndarray) -> list[Part]:
+    """`imu_part`, behind the delay of its readings, with its faults; `start` (12,) is the first `plant_pose`."""
+    parts, late = [imu_part(options, gravity, step, period)], round(options.delay / step)
+    if late > 0:
+        delay = delay_part(late, start, "imu_delay")._replace(period=step).connected(value="plant_pose")
+        parts = [delay.named(value="imu_motion"), parts[0].connected(plant_pose="imu_motion")]
+    if options.faults:
+        parts[-1] = parts[-1].named(imu="true_imu")
+        faulty = faulty_sensor_part(options.faults, 6, period)._replace(name="faulty_imu", period=period)
+        parts.append(faulty.connected(reading="true_imu").named(reading="imu"))
+    return parts

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -13,8 +13,8 @@ from pydantic import Field
 from stewart_drake.base.config import InOtherKinds, Natural, NotNegative, Section, Seed, Vector6
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import Record, Vec6, Vec12, record
-from stewart_drake.hardware.faults import EncoderFault, Fault, PoseFault, Signal, tick_numbers
-from stewart_drake.hardware.imu import ImuOptions
+from stewart_drake.hardware.faults import EncoderFault, PoseFault, faulty_sensor_part, tick_numbers
+from stewart_drake.hardware.imu import SimulatedImu
 from stewart_drake.loop.part import Part
 from stewart_drake.loop.user_parts import UserParts
 from stewart_drake.robot.leg import LARGEST_SIZE
@@ -91,7 +91,7 @@ class EncoderOptions(SensorOptions):
     """Seed of the noise."""
     faults: tuple[EncoderFault, ...] = ()
     """Faults of the encoders, applied in order."""
-    imu: ImuOptions | None = None
+    imu: SimulatedImu | None = None
     """The inertial sensor on the platform; null for none."""
 
     @cached_property
@@ -163,38 +163,3 @@ def encoder_part(options: EncoderOptions) -> Part:
 
 def _read_with_noise(params: EncoderParams, seed: int, crank_state: np.ndarray, state: EncoderState) -> None:
     _read(params, tick_numbers(seed, _STREAM, int(state["ticks"][0]), 6, normal=True), crank_state, state)
-
-
-class FaultySensorState(Record):
-    """State of a sensor of `size` channels that may fail."""
-
-    reading: Annotated[np.ndarray, ("size",)]
-    good: Annotated[np.ndarray, ("size",)]  # The last readings before a fault that keeps them.
-    history: Annotated[np.ndarray, ("rows", "size")]  # True readings of this tick and those before, newest first.
-    ticks: float  # Done.
-
-
-def faulty_sensor_part(faults: Sequence[Fault], size: int, period: float) -> Part:
-    """A sensor that may fail: true `reading` (n,) and `time` (1,) [s] -> `reading` (n,), with all faults in order."""
-    delays = tuple(fault.ticks_late(period) for fault in faults)
-    constants, inputs = {"faults": faults, "delays": delays}, {"reading": size, "time": 1}
-    first = FaultySensorState.sized(size=size, rows=1 + max(delays, default=0)).new()
-    return Part("faulty_sensor", _fail, constants, inputs, ("reading",), first)
-
-
-def _fail(
-    faults: Sequence[Fault], delays: Sequence[int], reading: np.ndarray, time: np.ndarray, state: FaultySensorState
-) -> None:
-    good, history, now = state["good"][0], state["history"][0], reading.copy()
-    if state["ticks"][0] == 0.0:
-        # A sensor that fails from the start repeats its first true reading.
-        good[:] = history[:] = reading
-    history[1:] = history[:-1].copy()
-    history[0] = reading
-    kept = np.zeros(len(reading), dtype=bool)
-    for fault, delay in zip(faults, delays, strict=True):
-        if fault.spoil(Signal(now, float(time[0]), int(state["ticks"][0]), good, history[delay])):
-            kept[fault.channels] |= fault.kinds[fault.kind].keeps
-    good[~kept] = reading[~kept]
-    state["reading"][0] = now
-    state["ticks"] += 1.0

@@ -70,7 +70,8 @@ class ModelOptions(Section, key="model"):
     """[s] age of a reading when the controller gets it; null for `sensors.delay`. An observer predicts over it, in
     whole ticks; default gains, tuners and adaptation count it as latency."""
     imu: ImuOptions | None = None
-    """The inertial sensor on the platform; null for that of `sensors`. An observer uses it."""
+    """The inertial sensor on the platform; null for that of `sensors`. Keys that are not given are those of
+    `sensors.imu`. An observer and the safety layer use it."""
     motors: Annotated[MotorOptions, MOTORS] | None = None
     """The motors; null for the simulated ones without their faults."""
     home: Vector6 | None = None
@@ -258,7 +259,7 @@ _ROBOT: TypeAdapter[RobotParameters | None] = TypeAdapter(AnyRobot | None)
 def _with_robots(
     data: Document, nominal: RobotParameters | None
 ) -> tuple[Document, Callable[[type[Section], Document], Document | None] | None]:
-    """The keys with the robots read, and the defaults of these robots, and of how soon a command acts.
+    """The keys with the robots and `model.imu` read, and the defaults of these robots, and of how soon a command acts.
 
     Without the key `robot` it is `nominal`, or where that is None the one that is believed.
     """
@@ -275,8 +276,10 @@ def _with_robots(
         delay = data.get("command_delay", 0) if model.get("delay") is None else model["delay"]
         real = MOTORS.section(data.get("motors") or {})
         known = MOTORS.section(model["motors"]) if model.get("motors") else real
-        age = model.get("reading_age")
-        age = SENSORS.section(data.get("sensors", {})).delay if age is None else float(age)
+        age, sensors = model.get("reading_age"), SENSORS.section(data.get("sensors", {}))
+        age = sensors.delay if age is None else float(age)
+        if isinstance(model.get("imu"), Mapping) and sensors.imu is not None:
+            model["imu"] = {**sensors.imu.nominal.given(), **model["imu"]}
         latency = CONTROLLERS.section(data.get("controller", {})).period * (1 + delay) + known.dead_time + age
         friction = dict[str, Document]()
         if gear := real.gear:

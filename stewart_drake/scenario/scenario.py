@@ -124,7 +124,7 @@ class Scenario(ControlOptions):
         readings, motors = self.sensors, self.motors.nominal
         read = readings.reading, readings.reading_noise
         model = Model(self.robot, self.gravity_in_base, None, *read, self.command_delay, motors, readings.delay)
-        return model._replace(imu=readings.imu)
+        return model._replace(imu=readings.imu and readings.imu.nominal)
 
     @property
     def asked(self) -> Reference:

@@ -53,6 +53,7 @@ NEEDED = {
     "MotorFault": {"kind": "reversed", "leg": 0},
     "EncoderFault": {"kind": "nan", "leg": 0},
     "PoseFault": {"kind": "nan"},
+    "ImuFault": {"kind": "nan"},
     "CommandFault": {"kind": "nan"},
     "BrokenRod": {"leg": 0, "time": 0.0},
 }

@@ -5,6 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stewart_drake import ConfigurationError, Controller, load_scenario, run
+from stewart_drake.hardware.faults import ImuFault, faulty_sensor_part
 from stewart_drake.hardware.imu import ImuOptions, imu_part
 from stewart_drake.scenario.assembly import sensor_parts
 from stewart_drake.scenario.scenario import Scenario
@@ -114,6 +115,40 @@ def test_a_late_sensor_tells_of_the_motion_before():
     assert parts["imu_delay"].initial["pending"].shape == (1, 3, 12)
 
 
+@pytest.mark.parametrize(("fault", "expected"), [
+    ({"kind": "nan"}, [[1.0, 2.0], [np.nan] * 2, [np.nan] * 2, [np.nan] * 2]),
+    ({"kind": "freeze"}, [[1.0, 2.0], [np.nan] * 2, [1.0, 2.0], [1.0, 2.0]]),
+    ({"kind": "freeze", "channel": "gyro", "duration": 1.5}, [[1.0, 2.0], [np.nan] * 2, [1.0, 6.0], [7.0, 8.0]]),
+    ({"kind": "jump", "channel": "accelerometer_z", "size": 0.5}, [[1.0, 2.0], [np.nan] * 2, [5.0, 6.5], [7.0, 8.5]]),
+    ({"kind": "drift", "channel": "gyro_x", "size": 0.5}, [[1.0, 2.0], [np.nan] * 2, [5.5, 6.0], [8.0, 8.0]]),
+    ({"kind": "late", "delay": 1.0}, [[1.0, 2.0], [1.0, 2.0], [np.nan] * 2, [5.0, 6.0]]),
+])  # fmt: skip
+def test_a_sensor_that_fails(fault, expected):
+    # Rows of a gyroscope and an accelerometer; there is no new reading at 1 s.
+    rows = np.array([[1.0, 2.0], [np.nan, np.nan], [5.0, 6.0], [7.0, 8.0]])
+    part = faulty_sensor_part([ImuFault.from_dict({"time": 1.0, **fault})], 6, 1.0)
+    state, found = part.initial.copy(), []
+    for time, row in enumerate(rows):
+        part.tick(row.take([0, 0, 0, 1, 1, 1]), np.array([float(time)]), state)
+        found.append(state["reading"][0, [0, 5]].copy())
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_a_model_knows_the_sensor_but_for_its_faults_and_what_it_believes_otherwise():
+    imu = {"preset": "mpu6050", "position": [0.01, 0.0, 0.0], "faults": [{"kind": "nan", "time": 1.0}]}
+    believed = (
+        Scenario.from_dict(
+            {"sensors": {"kind": "encoders", "imu": imu}, "model": {"imu": {"rotation": [0.0, 0.0, 0.1]}}}
+        )
+        .control()
+        .controller_model.imu
+    )
+    assert (believed.rotation, believed.position) == ((0.0, 0.0, 0.1), (0.01, 0.0, 0.0))
+    assert believed.gyro_range == ImuOptions.from_dict({"preset": "mpu6050"}).gyro_range
+    assert "faults" not in believed.to_dict()
+    assert "faults" not in scenario(imu=imu).controller_model.imu.to_dict()
+
+
 def test_a_preset_sets_the_defaults_of_the_others():
     options = ImuOptions.from_dict({"preset": "mpu6050", "gyro_bias": 0.01})
     assert options.gyro_bias == 0.01
@@ -133,6 +168,11 @@ def test_a_preset_sets_the_defaults_of_the_others():
     ({"gyro_range": 0.0}, "sensors.imu.gyro_range"),
     ({"preset": "bmi8"}, "sensors.imu.preset"),
     ({"axes": "xyz"}, "sensors.imu.axes"),
+    ({"faults": [{"kind": "jump", "size": 0.1}]}, "sensors.imu.faults.0.channel"),
+    ({"faults": [{"kind": "drift", "channel": "gyro"}]}, "sensors.imu.faults.0.size"),
+    ({"faults": [{"kind": "nan", "channel": "yaw"}]}, "sensors.imu.faults.0.channel"),
+    ({"faults": [{"kind": "nan", "leg": 2}]}, "sensors.imu.faults.0.leg"),
+    ({"faults": [{"kind": "swapped"}]}, "sensors.imu.faults.0.kind"),
 ])  # fmt: skip
 def test_a_sensor_that_cannot_be_is_one_line(imu, key):
     with pytest.raises(ConfigurationError, match=key.replace(".", r"\.")) as caught:
@@ -153,12 +193,14 @@ def test_all_engines_give_the_same_readings(kind):
     def inertial(kind):
         plant = {"kind": kind, "time_step": 0.0005}
         loaded = load_scenario("exact_fig7", ["duration=0.2"])
-        sensors = {"kind": "encoders", "resolution_bits": 0, "imu": PERFECT}
+        imu = {**PERFECT, "faults": [{"kind": "jump", "channel": "gyro_z", "size": 0.5, "time": 0.1}]}
+        sensors = {"kind": "encoders", "resolution_bits": 0, "imu": imu}
         loaded = loaded.replace({"plant": plant, "sensors": sensors})
         return run(loaded)["imu"]
 
     one, other = inertial("closed_form"), inertial(kind)
     assert np.ptp(one, axis=0).max() > 0.1
+    assert one[100, 2] - one[99, 2] == pytest.approx(0.5, abs=0.01)
     np.testing.assert_allclose(other, one, atol=5e-3)
 
 

@@ -6,8 +6,8 @@ from strategies import vectors
 
 from stewart_drake import ConfigurationError, load_scenario, run
 from stewart_drake.analysis.linear_loop import linear_loops
-from stewart_drake.hardware.faults import EncoderFault, PoseFault
-from stewart_drake.hardware.sensors import EncoderOptions, encoder_part, faulty_sensor_part
+from stewart_drake.hardware.faults import EncoderFault, PoseFault, faulty_sensor_part
+from stewart_drake.hardware.sensors import EncoderOptions, encoder_part
 from stewart_drake.scenario.assembly import control_side
 
 
