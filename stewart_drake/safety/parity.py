@@ -73,6 +73,8 @@ class ParityParams(Record):
     change: float  # [rad] largest change of the difference in this time.
     share: float  # [-] of the turn by which both may be larger.
     bias: Vec2  # [rad/s, m/s^2] largest plausible biases.
+    excess: float  # [m/s^2] by which measured forces may exceed those expected in the mean of `change_time`.
+    range: float  # [m/s^2] from which on a force is not used.
     silent: float  # [s] longest time without a sample.
     repeats: float  # Times that a sample may be repeated to the last bit.
 
@@ -105,6 +107,7 @@ class ParityState(Record):
     change: Vec3  # [rad] of this difference in `change_time`.
     turn: Vec3  # [rad] of the platform in this time.
     swing: Vec3  # [rad] of the platform in `TILT_TIME`.
+    excess: float  # [m/s^2] size of what measured forces exceed those expected, low-passed.
     count: float  # Samples beyond a bound, less those within it.
     sample: Vec6  # The last one.
     repeats: float  # Times that it has been repeated.
@@ -297,7 +300,7 @@ def _weigh(params: ParityParams, legs: Legs, force: Vec3, fits: bool, aligning: 
         block.path[k] += h * (block.impulse[k] + 0.5 * h * in_base[k])
         block.impulse[k] += h * in_base[k]
     block.time = time
-    if not fits:
+    if not fits or dot(force, force) > params.range * params.range:
         block.count = 0.0
     elif block.count == 0.0 or time >= BLOCK - 1e-9:
         place, excess, step = np.empty(3), np.empty(3), np.empty(3)
@@ -319,7 +322,8 @@ def _weigh(params: ParityParams, legs: Legs, force: Vec3, fits: bool, aligning: 
 @njit
 def _tilt(params: ParityParams, excess: Vec3, time: float, aligning: bool, state: ParityState) -> None:
     """Corrects the tilt by what forces in a time [s] exceed the expected ones [m/s^2] in B."""
-    step, in_platform = np.empty(3), np.empty(3)
+    step, in_platform, keep = np.empty(3), np.empty(3), np.exp(-time / params.change_time)
+    state.excess = keep * state.excess + (1.0 - keep) * np.sqrt(dot(excess, excess))
     if aligning:
         turned_back(state.rotation, excess, in_platform)
         for k in range(3):
@@ -349,7 +353,7 @@ def _judge(params: ParityParams, imu: Vec6, state: ParityState) -> int:
     for k in range(3):
         plausible = plausible and abs(state.rate_bias[k]) <= params.bias[0]
         plausible = plausible and abs(state.force_bias[k]) <= params.bias[1]
-    if not plausible or state.repeats >= params.repeats:
+    if not plausible or state.repeats >= params.repeats or state.excess > params.excess:
         return FAILED
     if _has_changed(params, state):
         return CHANGED
@@ -383,9 +387,11 @@ def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:
     """`reading` (6,) [rad], `imu` (6,), `reference` (18,) -> `parity` (2,), for a bound [rad] of the difference."""
     period, robot = imu.period or context.period, context.robot
     change_time = max(CHANGE_TIME, CHANGE_PERIODS * period)
-    by_crank = np.linalg.inv(twist_jacobian(robot, robot.home_pose))[:3]
+    turn, shift = (
+        float(np.linalg.norm(rows, 2)) for rows in np.split(np.linalg.inv(twist_jacobian(robot, robot.home_pose)), 2)
+    )
     noise = change_time * imu.noise(change_time)[:3].max()
-    noise = math.hypot(noise, np.linalg.norm(by_crank, 2) * math.sqrt(2.0) * context.noise)
+    noise = math.hypot(noise, turn * math.sqrt(2.0) * context.noise)
     share = SIGMAS * imu.scale_error
     force_bias = SIGMAS * imu.accelerometer_bias + (math.sin(LARGEST_TILT) + share) * STANDARD_GRAVITY
     params = ParityParams.new(
@@ -400,6 +406,8 @@ def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:
         change=CHANGE_SHARE * bound + SIGMAS * noise,
         share=share + MOUNTING_ERROR,
         bias=(SIGMAS * imu.gyro_bias + LARGEST_RATE, force_bias),
+        excess=force_bias + SIGMAS * shift * math.sqrt(6.0) * context.noise / max(BLOCK, period) ** 2,
+        range=0.99 * imu.accelerometer_range,
         silent=max(SILENT, SILENT_PERIODS * period),
         repeats=REPEATS if (imu.noise(period) > imu.quantum).any() else np.inf,
     )
