@@ -57,6 +57,7 @@ from stewart_drake.control.observer import (
 )
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics import kinematics_laws as laws
+from stewart_drake.mechanics.dynamics_laws import add_base_acceleration
 from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics_laws import OK, PARALLEL, Legs, Robot, dot
 from stewart_drake.mechanics.linear_algebra import copy_to, largest_size, set_to, solve
@@ -127,15 +128,16 @@ def inertial_tick(
 @njit
 def _start(params: ObserverParams, model: ImuModel, state: InertialState) -> None:
     """Sets what is expected of the first readings: those of a steady motion."""
-    turn, axes, arm, twist = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(6)
+    turn, axes, arm, twist, carried = np.empty((3, 3)), np.empty((3, 3)), np.empty(3), np.empty(6), np.empty(6)
     laws.rotation(state.read[:3], turn)
     laws.twist_of(state.read[:6], state.read[6:], twist)
     _sensor_frame(model, turn, axes, arm)
     _move(twist, arm, 1.0, state.before[:])
+    _carry(params, model, state.read[3:6], arm, state.before[:], carried)
     for row in range(int(model.lag + model.ticks)):
         for k in range(3):
-            state.expected[row, k] = dot(axes[k], twist[:3])
-            state.expected[row, 3 + k] = dot(params.base[:3], axes[k])
+            state.expected[row, k] = dot(axes[k], twist[:3]) + dot(axes[k], carried[:3])
+            state.expected[row, 3 + k] = dot(axes[k], carried[3:])
     if model.early > 0.0:
         # The first readings are too old to be of use.
         for row in range(int(model.early)):
@@ -151,6 +153,17 @@ def _sensor_frame(model: ImuModel, turn: Mat3, axes: Mat3, arm: Vec3) -> None:
             axes[k, i] = 0.0
             for m in range(3):
                 axes[k, i] += turn[i, m] * model.mounting[m, k]
+
+
+@njit
+def _carry(params: ObserverParams, model: ImuModel, origin: Vec3, arm: Vec3, twist: Vec6, out: Vec6) -> None:
+    """Rate and specific force (6,) in B that the base gives a sensor, `arm` [m] from P [m], with a twist in B."""
+    place = np.empty(3)
+    for k in range(3):
+        place[k] = origin[k] + arm[k]
+        out[k] = params.base[3 + k] - model.rest * params.base[6 + k]
+        out[3 + k] = params.base[k]
+    add_base_acceleration(params.base, place, twist[3:], out[3:])
 
 
 @njit
@@ -211,15 +224,18 @@ def measure_chain(covariance: Mat5, by: Vec5, error: float, variance: float, gai
 
 @njit
 def _expect(
-    params: ObserverParams, model: ImuModel, twist: Vec6, axes: Mat3, state: InertialState, out: Vec6, size: Vec6
+    params: ObserverParams, model: ImuModel, twist: Vec6, carried: Vec6, axes: Mat3, before: Vec6, out: Vec6, size: Vec6
 ) -> None:
-    """Readings (6,) without bias at a sensor's twist, and sizes of rate and acceleration for the errors of scale."""
+    """Readings (6,) without bias at a sensor's twist, and sizes of rate and acceleration for the errors of scale.
+
+    `carried` (6,) is of the base, `before` (6,) the twist a tick ago.
+    """
     rest, turned, swing = model.rest, np.empty(3), np.empty(3)
     for k in range(3):
-        rate, force, size[3 + k] = 0.0, dot(params.base[:3], axes[k]), 0.0
+        rate, force, size[3 + k] = dot(carried[:3], axes[k]), dot(carried[3:], axes[k]), 0.0
         for i in range(3):
-            rate += axes[k, i] * (twist[i] - rest / params.period * (twist[i] - state.before[i]))
-            size[3 + k] += axes[k, i] * (twist[3 + i] - state.before[3 + i]) / params.period
+            rate += axes[k, i] * (twist[i] - rest / params.period * (twist[i] - before[i]))
+            size[3 + k] += axes[k, i] * (twist[3 + i] - before[3 + i]) / params.period
         out[k], size[k], turned[k] = rate, rate, force + size[3 + k]
     # The axes are those of the reading's middle.
     laws.cross(out[:3], turned, swing)
@@ -264,13 +280,14 @@ def _correct(
     The push stays where it is `held`.
     """
     axes, arm, twist, here = np.empty((3, 3)), np.empty(3), np.empty(6), np.empty(6)
-    expected, size, by_crank = np.empty(6), np.empty(6), np.empty((6, 7))
+    expected, size, by_crank, carried = np.empty(6), np.empty(6), np.empty((6, 7)), np.empty(6)
     _sensor_frame(model, legs.rotation[:], axes, arm)
     laws.twist_of(pose, rate, twist)
     _move(twist, arm, 1.0, here)
     if _cranks_to_sensor(legs, state.innovation[:], axes, arm, by_crank) != state.assembly_sign:
         return False
-    _expect(params, model, here, axes, state, expected, size)
+    _carry(params, model, pose[3:], arm, here, carried)
+    _expect(params, model, here, carried, axes, state.before[:], expected, size)
     corrections, work, depth = np.empty((6, 5)), np.empty((7, 5)), int(model.lag + model.ticks) - 1
     for k in range(6):
         set_to(corrections[k], 0.0)

@@ -2,11 +2,13 @@
 
 A reading is the mean of its period: angular velocity, and specific force (acceleration minus gravity) of the sensor's
 place, both in the sensor's axes. The mean force follows from the change of the place's velocity, the same on any plant.
+Both have the motion of the base, if it moves.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Annotated
 
 import numpy as np
@@ -15,15 +17,16 @@ from pydantic import Field, model_validator
 from stewart_drake.base.config import Natural, NotNegative, Period, Phase, Positive, Section, Seed, Share, Text
 from stewart_drake.base.families import Table
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat3, Record, Vec3, Vec6, Vec12, record
+from stewart_drake.base.records import Mat3, Record, Vec3, Vec6, Vec9, Vec12, record
 from stewart_drake.base.sampling import on_grid, steps_per
 from stewart_drake.hardware.faults import ImuFault, faulty_sensor_part, tick_numbers
 from stewart_drake.hardware.motors import delay_part
 from stewart_drake.loop.part import Part
 from stewart_drake.mechanics import kinematics_laws as laws
+from stewart_drake.mechanics.dynamics_laws import add_base_acceleration
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.mechanics.linear_algebra import copy_to, set_to
-from stewart_drake.robot.gravity import Gravity, gravity_vector
+from stewart_drake.robot.gravity import Gravity, base_reading
 from stewart_drake.robot.leg import LARGEST_SIZE, Coordinate
 
 _STREAM, _UNIT_STREAM = 5, 6  # Numbers of the streams of random numbers, see `faults.tick_numbers`.
@@ -123,7 +126,6 @@ class ImuParams(Record):
 
     mounting: Mat3  # R_PS
     position: Vec3  # [m] in P.
-    gravity: Vec3  # [m/s^2] in B.
     step: float  # [s] of the plant.
     steps: float  # [steps of the plant] between two readings.
     tick: float  # [steps of the plant] between two ticks of the controller.
@@ -143,12 +145,14 @@ class ImuState(Record):
     total: Vec6  # [rad/s, m/s^2] Sum of the true values since the last reading.
     axes: Mat3  # R_BS one step ago.
     velocity: Vec6  # [rad/s, m/s] Angular velocity, and velocity of the place, in B, one step ago.
+    place: Vec3  # [m] in B, one step ago.
+    base: Vec9  # What the base's inertial unit read one step ago.
     done: float  # Steps.
     fresh: float  # 1 if the controller has not had `latest`.
 
 
 @njit
-def sense(params: ImuParams, normal: Vec12, plant_pose: Vec12, state: ImuState) -> None:
+def sense(params: ImuParams, normal: Vec12, plant_pose: Vec12, base_motion: Vec12, state: ImuState) -> None:
     """A step of the plant: means of rate and force since the last step, and a reading when one is due."""
     params, state = record(params), record(state)
     turn, axes, twist, arm = np.empty((3, 3)), np.empty((3, 3)), np.empty(6), np.empty(3)
@@ -159,19 +163,29 @@ def sense(params: ImuParams, normal: Vec12, plant_pose: Vec12, state: ImuState) 
     twist[4] += twist[2] * arm[0] - twist[0] * arm[2]
     twist[5] += twist[0] * arm[1] - twist[1] * arm[0]
     for i in range(3):
+        arm[i] += plant_pose[3 + i]
         for k in range(3):
             axes[i, k] = turn[i, 0] * params.mounting[0, k] + turn[i, 1] * params.mounting[1, k]
             axes[i, k] += turn[i, 2] * params.mounting[2, k]
     first = state.done == 0.0
+    if first:
+        _keep(axes, twist, arm, base_motion, state)
+    # All in the middle of the step; the base's motion in B.
+    base, place, velocity, force = np.empty(9), np.empty(3), np.empty(3), np.empty(3)
+    for k in range(9):
+        base[k] = 0.5 * (base_motion[k] + state.base[k])
+    for i in range(3):
+        place[i], velocity[i] = 0.5 * (arm[i] + state.place[i]), 0.5 * (twist[3 + i] + state.velocity[3 + i])
+        force[i] = base[i] + (twist[3 + i] - state.velocity[3 + i]) / params.step
+    add_base_acceleration(base, place, velocity, force)
     for k in range(3):
-        rate, force = 0.0, 0.0
+        rate, along = 0.0, 0.0
         for i in range(3):
-            middle = axes[i, k] if first else 0.5 * (axes[i, k] + state.axes[i, k])
-            rate += middle * (twist[i] if first else 0.5 * (twist[i] + state.velocity[i]))
-            change = 0.0 if first else (twist[3 + i] - state.velocity[3 + i]) / params.step
-            force += middle * (change - params.gravity[i])
+            middle = 0.5 * (axes[i, k] + state.axes[i, k])
+            rate += middle * (0.5 * (twist[i] + state.velocity[i]) + base[3 + i])
+            along += middle * force[i]
         state.total[k] += rate
-        state.total[3 + k] += force
+        state.total[3 + k] += along
     if state.done % params.steps == 0.0:
         count = 1.0 if first else params.steps
         for k in range(6):
@@ -185,34 +199,43 @@ def sense(params: ImuParams, normal: Vec12, plant_pose: Vec12, state: ImuState) 
         for k in range(6):
             state.imu[k] = state.latest[k] if state.fresh > 0.0 else np.nan
         state.fresh = 0.0
-    for k in range(3):
-        copy_to(state.axes[k], axes[k])
-    copy_to(state.velocity[:], twist)
+    _keep(axes, twist, arm, base_motion, state)
     state.done += 1.0
 
 
-def _sense_with_noise(params: ImuParams, seed: int, plant_pose: np.ndarray, state: ImuState) -> None:
+@njit
+def _keep(axes: Mat3, twist: Vec6, place: Vec3, base_motion: Vec12, state: ImuState) -> None:
+    """Keeps what the next step needs of this one."""
+    for k in range(3):
+        copy_to(state.axes[k], axes[k])
+    copy_to(state.velocity[:], twist)
+    copy_to(state.place[:], place)
+    copy_to(state.base[:], base_motion[:9])
+
+
+def _sense_with_noise(
+    params: ImuParams, seed: int, plant_pose: np.ndarray, base_motion: np.ndarray, state: ImuState
+) -> None:
     done, steps = state["done"][0], params["steps"][0]
     due = done % steps == 0.0
     normal = tick_numbers(seed, _STREAM, int(done // steps), 12, normal=True) if due else _NO_NOISE
-    sense(params, normal, plant_pose, state)
+    sense(params, normal, plant_pose, base_motion, state)
 
 
 _NO_NOISE = np.zeros(12)
 
 
 def imu_part(options: ImuOptions, gravity: Gravity, step: float, period: float) -> Part:
-    """`plant_pose` (12,) in steps [s] of the plant -> `imu` (6,) for a controller that ticks in periods [s].
+    """`plant_pose` (12,), `base_motion` (12,) in steps [s] of the plant -> `imu` (6,) for a controller's period [s].
 
-    Gravity is in m/s^2, a number along -z or a vector in B. Raises a ConfigurationError where a period is no multiple
-    of the step.
+    Gravity, in m/s^2, a number along -z or a vector in B, is read where `base_motion` is no signal. Raises a
+    ConfigurationError where a period is no multiple of the step.
     """
     every = options.period or period
     normal = tick_numbers(options.noise_seed, _UNIT_STREAM, 0, 12, normal=True)
     params = ImuParams.new(
         mounting=options.mounting,
         position=options.position,
-        gravity=gravity_vector(gravity),
         step=on_grid(step),
         steps=steps_per("sensors.imu.period", every, step, "plant.time_step"),
         tick=steps_per("estimator.period", period, step, "plant.time_step"),
@@ -223,19 +246,27 @@ def imu_part(options: ImuOptions, gravity: Gravity, step: float, period: float) 
         quantum=options.quantum,
     )
     first = ImuState.new(offset=options.by_channel("bias") * normal[:6], imu=np.nan)
-    parameters, inputs = {"params": params}, {"plant_pose": 12}
+    parameters, inputs = {"params": params}, {"plant_pose": 12, "base_motion": 12}
     part = Part("imu", _sense_with_noise, {"seed": options.noise_seed}, inputs, ("imu",), first, parameters=parameters)
-    return part._replace(period=step)
+    at_rest = np.append(base_reading(gravity), np.zeros(3))
+    return part._replace(period=step).connected(base_motion=at_rest)
 
 
-def imu_parts(options: SimulatedImu, gravity: Gravity, step: float, period: float, start: np.ndarray) -> list[Part]:
-    """`imu_part`, behind the delay of its readings, with its faults; `start` (12,) is the first `plant_pose`."""
-    parts, late = [imu_part(options, gravity, step, period)], round(options.delay / step)
-    if late > 0:
-        delay = delay_part(late, start, "imu_delay")._replace(period=step).connected(value="plant_pose")
-        parts = [delay.named(value="imu_motion"), parts[0].connected(plant_pose="imu_motion")]
-    if options.faults:
-        parts[-1] = parts[-1].named(imu="true_imu")
-        faulty = faulty_sensor_part(options.faults, 6, period)._replace(name="faulty_imu", period=period)
-        parts.append(faulty.connected(reading="true_imu").named(reading="imu"))
-    return parts
+def imu_parts(
+    options: SimulatedImu, gravity: Gravity, step: float, period: float, first: Mapping[str, np.ndarray]
+) -> list[Part]:
+    """`imu_part`, behind the delay of its readings, with its faults.
+
+    `first` has the first `plant_pose` (12,), and that of `base_motion` (12,) if there is one.
+    """
+    part, late = imu_part(options, gravity, step, period), round(options.delay / step)
+    delays, sources = list[Part](), {name: name for name in first}
+    for name, value in first.items() if late > 0 else ():
+        sources[name] = f"imu_{name}"
+        delay = delay_part(late, value, f"imu_{name}_delay")._replace(period=step)
+        delays.append(delay.connected(value=name).named(value=sources[name]))
+    part = part.connected(**sources)
+    if not options.faults:
+        return [*delays, part]
+    faulty = faulty_sensor_part(options.faults, 6, period)._replace(name="faulty_imu", period=period)
+    return [*delays, part.named(imu="true_imu"), faulty.connected(reading="true_imu").named(reading="imu")]

@@ -282,6 +282,7 @@ def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
     try:
         with user_code(scenario), np.errstate(all="ignore"):
             time = sample_times(scenario.duration, scenario.controller.period)
+            _check_parity(scenario, safety.parity, time)
             motion = scenario.asked.evaluate(time)
             refuse_motion(robot, safety, gravity, time, motion)
             refuse_start(robot, safety, gravity, *scenario.start(), motion[0][0])
@@ -291,6 +292,18 @@ def _check_safety(scenario: Scenario, safety: SafetyOptions) -> None:
     except (UnreachablePoseError, np.linalg.LinAlgError) as failure:
         key = "reference" if scenario.model.robot is None else "model.robot"
         raise ConfigurationError(key, "this motion", f"one that the robot can do ({failure})") from None
+
+
+def _check_parity(scenario: Scenario, bound: float | None, time: np.ndarray) -> None:
+    """Refuses a base that turns, for an inertial sensor on the platform that is compared with encoders on the base."""
+    motion = scenario.base.motion
+    if motion is None or bound is None or scenario.controller_model.imu is None or scenario.base_compensation != "none":
+        return
+    largest = float(np.abs(motion.evaluate(time)[0][:, :3]).max())
+    if largest > bound:
+        allowed = f"less than {bound:.4g} rad, which safety.parity takes for a wrong encoder; or base.sensor with "
+        allowed += "base_compensation torques or level; or safety.parity null"
+        raise ConfigurationError("base.motion", f"angles of up to {largest:.4g} rad", allowed)
 
 
 def fit_amplitude(

@@ -28,10 +28,12 @@ FOLLOWING, TORQUE_LIMIT, TORQUE_RATE, INNOVATION, READING, UNEXPLAINED, NOT_MOVI
 MEANINGS = {
     "reading_stuck": "a sensor repeats itself, or no crank moves at all",
     "not_moving": "a crank stands, or its reading does, while its reference moves",
-    "parity": "an encoder, or the inertial sensor on the platform, is wrong",
+    "parity": "an encoder is wrong",
     "unexplained_torque": "a reading or a motor is wrong, or load and friction exceed safety.unexplained_torque",
 }
 """More about a monitor, for the message of a run that it ends."""
+INERTIAL_WRONG = "the inertial sensor on the platform is wrong or gives no new readings, or several encoders are wrong"
+"""The same for `parity` without a leg."""
 
 HOLD_TIME = 0.03  # [s] for which the last good command is repeated at most.
 
@@ -58,7 +60,8 @@ class SafetyOptions(Section, key="safety"):
     does not count, because of play and friction; a reference that moves by less is not compared."""
     parity: Positive | None = math.radians(1.0)
     """[rad] largest difference of the platform's orientation by the encoders and by an inertial sensor on it, where the
-    model has one. A wrong encoder is named by the direction of the difference."""
+    model has one. A wrong encoder is named by the direction of the difference. A sensor that gives no new readings for
+    0.2 s, or five of its periods, stops the robot too: without it the next wrong encoder would go unnoticed."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
     """[-] largest command as a fraction of the motors' limit; commands are cut there. They may be there or beyond for
     0.1 s in sum."""

@@ -21,15 +21,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat3, Mat6x3, Record, Vec2, Vec3, Vec6, Vec18, record
+from stewart_drake.base.records import Mat3, Mat6x3, Record, Vec2, Vec3, Vec6, Vec9, Vec18, record
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
+from stewart_drake.mechanics.dynamics_laws import add_base_acceleration
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot, cross, dot, turned
-from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, set_to, solve
-from stewart_drake.robot.gravity import gravity_vector
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
+from stewart_drake.mechanics.rotations import rotation_between, turn_by, turned_back
+from stewart_drake.robot.gravity import base_reading
 
 if TYPE_CHECKING:
     from stewart_drake.hardware.imu import ImuOptions
@@ -39,6 +42,9 @@ TILT_TIME, BIAS_TIME, TURN_TIME = 1.5, 10.0, 5.0
 """[s] in which gravity corrects the tilt and the gyroscopes' bias, and encoders the turn around gravity; assumed."""
 MOST_TILT = 0.02
 """[rad] largest tilt with which gravity corrects. More of it is an acceleration that wrong readings do not show."""
+TILT_MEAN, SAME, OPPOSITE = 0.1, 0.75, 0.5
+"""[s] of a mean of this tilt; its distance from the level part of the difference, as a share of that, within which both
+are the same; its share of that from which on it is opposite."""
 BLOCK = 0.01  # [s] least time between two positions of a second difference.
 CHANGE_TIME, CHANGE_PERIODS, CHANGE_SHARE = 0.1, 10.0, 0.2
 """[s], [periods of the sensor] in which the difference may change by this share of its bound, besides noise and errors
@@ -47,7 +53,7 @@ SIGMAS, MOUNTING_ERROR = 6.0, 0.01
 """Standard deviations for which bounds have room; [rad] error of the sensor's mounting; assumed."""
 LARGEST_RATE, LARGEST_TILT = math.radians(1.0), math.radians(4.0)
 """[rad/s], [rad] by which a bias may be larger: encoders' noise at the start, and a tilt of the base; assumed."""
-SILENT, SILENT_PERIODS = 0.1, 5.0  # [s], [periods of the sensor] without a sample after which it has failed.
+SILENT, SILENT_PERIODS = 0.2, 5.0  # [s], [periods of the sensor] without a sample after which it has failed.
 REPEATS = 10.0  # Samples in a row that noise never repeats to the last bit.
 CONFIRMED, LEAST_TIME = 3.0, 0.005
 """Samples in a row beyond a bound, less those within it; [s] that one counts at least where readings fit no pose."""
@@ -64,7 +70,7 @@ class ParityParams(Record):
 
     period: float  # [s] of a sample.
     tick: float  # [s]
-    gravity: Vec3  # [m/s^2] in B.
+    base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     mounting: Mat3  # R_PI of the sensor.
     place: Vec3  # [m] of the sensor in P.
     later: float  # [s] by which a sample of the inertial sensor is older than a reading of the encoders.
@@ -74,6 +80,7 @@ class ParityParams(Record):
     share: float  # [-] of the turn by which both may be larger.
     bias: Vec2  # [rad/s, m/s^2] largest plausible biases.
     excess: float  # [m/s^2] by which measured forces may exceed those expected in the mean of `change_time`.
+    level: float  # [rad] least difference of which gravity tells whether the inertial sensor is wrong.
     range: float  # [m/s^2] from which on a force is not used.
     silent: float  # [s] longest time without a sample.
     repeats: float  # Times that a sample may be repeated to the last bit.
@@ -83,6 +90,7 @@ class ForceBlock(Record):
     """The samples since the last position for a second difference."""
 
     count: float  # Positions so far.
+    weighed: float  # Blocks of which the bias is the mean.
     time: float  # [s]
     impulse: Vec3  # [m/s] integral of the measured force in B.
     path: Vec3  # [m] integral of that.
@@ -107,54 +115,12 @@ class ParityState(Record):
     change: Vec3  # [rad] of this difference in `change_time`.
     turn: Vec3  # [rad] of the platform in this time.
     swing: Vec3  # [rad] of the platform in `TILT_TIME`.
+    tilt: Vec3  # [rad] mean turn in B from the inertial orientation to that by gravity.
     excess: float  # [m/s^2] size of what measured forces exceed those expected, low-passed.
     count: float  # Samples beyond a bound, less those within it.
     sample: Vec6  # The last one.
     repeats: float  # Times that it has been repeated.
     block: ForceBlock
-
-
-@njit
-def turn_by(vector: Vec3, matrix: Mat3) -> None:
-    """Turns a rotation matrix by a rotation vector [rad] in its outer frame, in place (Rodrigues)."""
-    angle = np.sqrt(dot(vector, vector))
-    s = np.sin(angle) / angle if angle > 1e-8 else 1.0
-    c = (1.0 - np.cos(angle)) / angle**2 if angle > 1e-8 else 0.5
-    axis, first, second = np.empty(3), np.empty(3), np.empty(3)
-    for column in range(3):
-        for k in range(3):
-            axis[k] = matrix[k, column]
-        cross(vector, axis, first)
-        cross(vector, first, second)
-        for k in range(3):
-            matrix[k, column] += s * first[k] + c * second[k]
-
-
-@njit
-def rotation_between(matrix: Mat3, other: Mat3, out: Vec3) -> None:
-    """Rotation vector [rad] of `matrix` times the transpose of `other`, of angles below pi."""
-    trace, first, second, product = 0.0, np.empty(3), np.empty(3), np.empty(3)
-    set_to(out, 0.0)
-    for m in range(3):
-        for k in range(3):
-            first[k], second[k] = matrix[k, m], other[k, m]
-        trace += dot(first, second)
-        # The vector of the skew part of sum_m a_m b_m^T is half the sum of b_m x a_m.
-        cross(second, first, product)
-        for k in range(3):
-            out[k] += 0.5 * product[k]
-    sine = np.sqrt(dot(out, out))
-    angle = np.arctan2(sine, 0.5 * (trace - 1.0))
-    scale = angle / sine if sine > 1e-9 else 1.0
-    for k in range(3):
-        out[k] *= scale
-
-
-@njit
-def turned_back(matrix: Mat3, vector: Vec3, out: Vec3) -> None:
-    """Transpose of a matrix times a vector."""
-    for i in range(3):
-        out[i] = matrix[0, i] * vector[0] + matrix[1, i] * vector[1] + matrix[2, i] * vector[2]
 
 
 @njit
@@ -199,7 +165,8 @@ def parity_sample(
 ) -> int:
     """A sample: readings (6,) [rad] of the encoders; rates [rad/s] and specific force [m/s^2] (6,) of the sensor.
 
-    A sample of the sensor is the mean of the time since the last one. Readings that are not finite are left out.
+    A sample of the sensor is the mean of its period; after missing ones the encoders' turn is taken instead. Readings
+    that are not finite are left out.
 
     Returns:
         AGREES, DIFFERS, CHANGED or FAILED; `legs` are those of the encoders' pose.
@@ -217,11 +184,16 @@ def parity_sample(
     elif state.samples > 0.0:
         turned(params.mounting, imu[:3], rates)
         turned(params.mounting, imu[3:], force)
-        _turn(params, rates, state)
+        late = fits and state.elapsed > 1.5 * params.period
+        if late:
+            rotation_between(legs.rotation, before, rates)
+            turn_by(rates, state.rotation[:])
+        else:
+            _turn(params, rates, state)
         aligning = state.samples * params.period <= ALIGNMENT
         if fits:
             _compare(params, legs, before, aligning, state)
-        _weigh(params, legs, force, fits, aligning, state)
+        _weigh(params, legs, force, fits and not late, aligning, state)
     state.samples += 1.0 if fits or state.samples > 0.0 else 0.0
     contradict = is_read and not fits and state.unread >= CONFIRMED * max(params.period, LEAST_TIME)
     result = FAILED if contradict else _judge(params, imu, state)
@@ -250,7 +222,7 @@ def _turn(params: ParityParams, rates: Vec3, state: ParityState) -> None:
     turned(state.rotation, rates, step)
     keep, keep_swing = np.exp(-h / params.change_time), np.exp(-h / TILT_TIME)
     for k in range(3):
-        step[k] *= h
+        step[k] = h * (step[k] - params.base[3 + k])
         state.change[k] *= keep
         state.turn[k] = keep * state.turn[k] + step[k]
         state.swing[k] = keep_swing * state.swing[k] + step[k]
@@ -274,13 +246,13 @@ def _compare(params: ParityParams, legs: Legs, before: Mat3, aligning: bool, sta
     rotation_between(legs.rotation, state.rotation, now)
     # The encoders' turn since a sample of this age.
     rotation_between(legs.rotation, before, step)
-    around = dot(now, params.gravity) / dot(params.gravity, params.gravity) * state.unread / TURN_TIME
+    around = dot(now, params.base[:3]) / dot(params.base[:3], params.base[:3]) * state.unread / TURN_TIME
     for k in range(3):
         now[k] -= step[k] * params.later / state.unread
         state.change[k] += now[k] - state.difference[k]
     aligning = aligning and not _has_changed(params, state)
     for k in range(3):
-        step[k] = now[k] if aligning else around * params.gravity[k]
+        step[k] = now[k] if aligning else around * params.base[k]
         state.difference[k] = now[k] - step[k]
     turn_by(step, state.rotation[:])
     turned_back(state.rotation, step, in_platform)
@@ -292,23 +264,28 @@ def _compare(params: ParityParams, legs: Legs, before: Mat3, aligning: bool, sta
 @njit
 def _weigh(params: ParityParams, legs: Legs, force: Vec3, fits: bool, aligning: bool, state: ParityState) -> None:
     """Corrects the tilt by a sample of the accelerometers [m/s^2] in P; while biases are found, finds theirs."""
-    block, in_base, h, time = state.block, np.empty(3), state.elapsed, state.block.time + state.elapsed
+    block, h, time, length = state.block, state.elapsed, state.block.time + state.elapsed, max(BLOCK, params.period)
+    in_base, place, velocity, carried = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    turned(legs.rotation, params.place, place)
     for k in range(3):
         force[k] -= 0.0 if aligning else state.force_bias[k]
+        place[k] += state.pose[3 + k]
+        velocity[k], carried[k] = block.step[k] / length, params.base[k]
+    add_base_acceleration(params.base, place, velocity, carried)
     turned(state.rotation, force, in_base)
     for k in range(3):
+        in_base[k] -= carried[k]
         block.path[k] += h * (block.impulse[k] + 0.5 * h * in_base[k])
         block.impulse[k] += h * in_base[k]
     block.time = time
     if not fits or dot(force, force) > params.range * params.range:
         block.count = 0.0
     elif block.count == 0.0 or time >= BLOCK - 1e-9:
-        place, excess, step = np.empty(3), np.empty(3), np.empty(3)
-        turned(legs.rotation, params.place, place)
+        excess, step = np.empty(3), np.empty(3)
         for k in range(3):
-            step[k] = place[k] + state.pose[3 + k] - block.place[k]
+            step[k] = place[k] - block.place[k]
             change = block.path[k] - block.last_path[k] + time * block.last_impulse[k] - step[k] + block.step[k]
-            excess[k] = change / time**2 + params.gravity[k]
+            excess[k] = change / time**2
             block.place[k] += step[k]
             block.step[k] = step[k]
             block.last_path[k], block.last_impulse[k] = block.path[k], block.impulse[k]
@@ -326,13 +303,16 @@ def _tilt(params: ParityParams, excess: Vec3, time: float, aligning: bool, state
     state.excess = keep * state.excess + (1.0 - keep) * np.sqrt(dot(excess, excess))
     if aligning:
         turned_back(state.rotation, excess, in_platform)
+        state.block.weighed += 1.0
         for k in range(3):
-            state.force_bias[k] += (in_platform[k] - state.force_bias[k]) / (state.block.count - 2.0)
+            state.force_bias[k] += (in_platform[k] - state.force_bias[k]) / state.block.weighed
         return
-    cross(params.gravity, excess, step)
-    share = time / (TILT_TIME * max(dot(params.gravity, params.gravity), np.sqrt(dot(step, step)) / MOST_TILT))
+    cross(excess, params.base[:3], step)
+    largest = max(dot(params.base[:3], params.base[:3]), np.sqrt(dot(step, step)) / MOST_TILT)
     for k in range(3):
-        step[k] *= share
+        step[k] /= largest
+        state.tilt[k] += min(1.0, time / TILT_MEAN) * (step[k] - state.tilt[k])
+        step[k] *= time / TILT_TIME
         state.difference[k] -= step[k]
     turn_by(step, state.rotation[:])
     turned_back(state.rotation, step, in_platform)
@@ -362,6 +342,23 @@ def _judge(params: ParityParams, imu: Vec6, state: ParityState) -> int:
 
 
 @njit
+def _is_at_odds(params: ParityParams, difference: Vec3, state: ParityState) -> bool:
+    """Whether gyroscopes and gravity contradict each other: the inertial sensor is wrong.
+
+    Gyroscopes that are wrong go from gravity and encoders alike; wrong accelerometers go from both the other way.
+    """
+    level, apart = np.empty(3), np.empty(3)
+    around = dot(difference, params.base[:3]) / dot(params.base[:3], params.base[:3])
+    for k in range(3):
+        level[k] = difference[k] - around * params.base[k]
+        apart[k] = state.tilt[k] - level[k]
+    size, odds, along = dot(level, level), dot(state.tilt, state.tilt), dot(state.tilt, level)
+    if size < params.level * params.level:
+        return False
+    return dot(apart, apart) < SAME**2 * size or (along < 0.0 and odds > OPPOSITE**2 * size)
+
+
+@njit
 def parity_tick(
     robot: Robot, params: ParityParams, reading: Vec6, imu: Vec6, reference: Vec18, legs: Legs, state: ParityState
 ) -> None:
@@ -379,25 +376,29 @@ def parity_tick(
         state.parity[0], state.parity[1] = 0.0, -1.0
     elif state.parity[0] == 0.0:
         wrong = state.change if result == CHANGED else state.difference
-        known = result != FAILED and encoder_lines(legs, lines)
+        known = result != FAILED and not _is_at_odds(params, wrong, state) and encoder_lines(legs, lines)
         state.parity[0], state.parity[1] = 1.0, float(suspect_leg(lines, wrong)[0]) if known else -1.0
 
 
 def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:
     """`reading` (6,) [rad], `imu` (6,), `reference` (18,) -> `parity` (2,), for a bound [rad] of the difference."""
-    period, robot = imu.period or context.period, context.robot
+    period, robot, base = max(imu.period or 0.0, context.period), context.robot, base_reading(context.gravity)
+    if not base[:3].any():
+        raise ConfigurationError("safety.parity", bound, "null, without gravity")
     change_time = max(CHANGE_TIME, CHANGE_PERIODS * period)
     turn, shift = (
         float(np.linalg.norm(rows, 2)) for rows in np.split(np.linalg.inv(twist_jacobian(robot, robot.home_pose)), 2)
     )
     noise = change_time * imu.noise(change_time)[:3].max()
+    # A second difference of noise has sqrt(6) times its size.
+    shift *= math.sqrt(6.0) * context.noise / max(BLOCK, period) ** 2
     noise = math.hypot(noise, turn * math.sqrt(2.0) * context.noise)
     share = SIGMAS * imu.scale_error
     force_bias = SIGMAS * imu.accelerometer_bias + (math.sin(LARGEST_TILT) + share) * STANDARD_GRAVITY
     params = ParityParams.new(
         period=period,
         tick=context.period,
-        gravity=gravity_vector(context.gravity),
+        base=base,
         mounting=imu.mounting,
         place=imu.position,
         later=imu.delay - context.reading_age,
@@ -406,7 +407,8 @@ def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:
         change=CHANGE_SHARE * bound + SIGMAS * noise,
         share=share + MOUNTING_ERROR,
         bias=(SIGMAS * imu.gyro_bias + LARGEST_RATE, force_bias),
-        excess=force_bias + SIGMAS * shift * math.sqrt(6.0) * context.noise / max(BLOCK, period) ** 2,
+        excess=force_bias + SIGMAS * shift,
+        level=0.5 * SIGMAS * min(1.0, max(BLOCK, period) / TILT_MEAN) * shift / STANDARD_GRAVITY,
         range=0.99 * imu.accelerometer_range,
         silent=max(SILENT, SILENT_PERIODS * period),
         repeats=REPEATS if (imu.noise(period) > imu.quantum).any() else np.inf,

@@ -28,7 +28,15 @@ from stewart_drake.safety.layer import (
     safety_tick,
 )
 from stewart_drake.safety.limits import SUSPECT_HOLD, Observed, SafetyParams, safety_params
-from stewart_drake.safety.options import MEANINGS, MONITORS, NO_TRIP, SafetyInputs, SafetyOptions
+from stewart_drake.safety.options import (
+    INERTIAL_WRONG,
+    MEANINGS,
+    MONITORS,
+    NO_TRIP,
+    PARITY,
+    SafetyInputs,
+    SafetyOptions,
+)
 from stewart_drake.safety.residual import ResidualState
 
 
@@ -89,7 +97,8 @@ def _stopped(options: SafetyOptions, period: float, result: Any, arguments: Mapp
         RUNAWAY: f"stopping, but a crank turns at {fastest:.3g} rad/s",
         HOLD_OVER: f"stopped, and held for {min(longest, options.safe_hold_time):g} s",
     }[status]
-    text = "; ".join(filter(None, (MEANINGS.get(name), what)))
+    meaning = INERTIAL_WRONG if name == MONITORS[PARITY] and leg < 0.0 else MEANINGS.get(name)
+    text = "; ".join(filter(None, (meaning, what)))
     if status != HOLD_OVER:
         state["safety"]["level"] = state["worst"] = END
     return SafetyStop(name, f"{name}: {text}", int(leg) if leg >= 0.0 else None, first_trip(state, period, names))

@@ -137,11 +137,13 @@ def _outside(scenario: Scenario) -> tuple[Source, ...]:
 
 def sensor_parts(scenario: Scenario) -> list[Part]:
     """Parts that compute the signals `reading`, none if it is the pose of the plant, and `imu`, if there is one."""
-    imu, periods = scenario.sensors.imu, (scenario.plant.time_step, scenario.reading_period)
-    inertial = (
-        [] if imu is None else imu_parts(imu, scenario.gravity_in_base, *periods, np.concatenate(scenario.start()))
-    )
-    return [*_reading_parts(scenario), *inertial]
+    imu, parts, gravity = scenario.sensors.imu, _reading_parts(scenario), scenario.gravity_in_base
+    if imu is None:
+        return parts
+    first = {"plant_pose": np.concatenate(scenario.start())}
+    if (motion := scenario.base.motion) is not None:
+        first["base_motion"] = base_signal(motion, gravity, np.zeros(1))[0]
+    return [*parts, *imu_parts(imu, gravity, scenario.plant.time_step, scenario.reading_period, first)]
 
 
 def _reading_parts(scenario: Scenario) -> list[Part]:

@@ -190,10 +190,6 @@ class Scenario(ControlOptions):
             raise ConfigurationError("base_compensation", self.base_compensation, "none, without base.sensor")
         steps_per("controller.period", self.controller.period, self.plant.time_step)
         steps_per("estimator.period", self.reading_period, self.plant.time_step)
-        if self.sensors.imu is not None and self.base.motion is not None:
-            raise ConfigurationError(
-                "sensors.imu", self.sensors.imu.to_dict(), "null, with base.motion, which it would read too"
-            )
         if self.sensors.imu is not None and self.sensors.imu.period is not None:
             steps_per("sensors.imu.period", self.sensors.imu.period, self.plant.time_step)
         largest = MAX_STEPS * self.plant.time_step

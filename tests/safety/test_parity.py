@@ -6,26 +6,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from stewart_drake import RobotParameters, load_scenario, run
+from stewart_drake import ConfigurationError, RobotParameters, load_scenario, run
 from stewart_drake.base.jit import njit
 from stewart_drake.base.records import record
+from stewart_drake.hardware.imu import ImuOptions
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.kinematics import forward_kinematics, inverse_kinematics
-from stewart_drake.safety.parity import (
-    ParityParams,
-    ParityState,
-    encoder_lines,
-    parity_rows,
-    rotation_between,
-    suspect_leg,
-    turn_by,
-)
+from stewart_drake.mechanics.rotations import rotation_between, turn_by
+from stewart_drake.safety.parity import ParityState, encoder_lines, parity_part, parity_rows, suspect_leg
+from stewart_drake.scenario.assembly import context_of
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 PERIOD, ONSET = 0.01, 2.0  # [s]
 BOUND = np.radians(0.6)
 # Standard deviations of a sample of a cheap sensor: rates [rad/s], specific force [m/s^2]; and of its biases.
 NOISE, BIAS = (2e-3, 0.02), (0.01, 0.2)
+SENSORS = {"kind": "encoders", "noise": 2e-5, "imu": {"preset": "bmi088"}}
+LOOP = {"plant": "closed_form", "safety": {}, "duration": 2.5}
 vectors = st.lists(st.floats(-1.5, 1.5), min_size=3, max_size=3).map(np.array)
 
 
@@ -90,15 +87,15 @@ def samples(scenario, duration, seed=0):
     imu = np.hstack([omega, turns.apply(force - GRAVITY)])
     imu += np.repeat(NOISE, 3) * random.normal(size=imu.shape) + np.repeat(BIAS, 3) * random.normal(size=6)
     angles = inverse_kinematics(scenario.robot, reference[:, :6]) + 1e-4 * random.normal(size=(len(times), 6))
+    noise, context = np.array(NOISE) * np.sqrt(2.0 * PERIOD), context_of(scenario)._replace(period=PERIOD, noise=1e-4)
     sizes = {
-        "bound": BOUND,
-        "change": 0.5 * BOUND,
-        "change_time": 0.1,
-        "bias": (1.0, 1.0),
-        "silent": 0.1,
-        "repeats": 10.0,
+        "gyro_noise": noise[0],
+        "accelerometer_noise": noise[1],
+        "gyro_bias": BIAS[0],
+        "accelerometer_bias": BIAS[1],
     }
-    params = ParityParams.new(period=PERIOD, tick=PERIOD, gravity=GRAVITY, mounting=np.eye(3), place=place, **sizes)
+    options = ImuOptions(position=place.tolist(), scale_error=0.0, gyro_range=10.0, accelerometer_range=50.0, **sizes)
+    params = parity_part(context, options, BOUND).parameters["params"]
     return params, angles, imu, reference
 
 
@@ -132,7 +129,7 @@ def test_an_encoder_that_drifts_is_named(scenario, leg, rate):
     assert row >= 0
     assert named == leg
     # [rad], less than 1 deg of the platform, and three samples.
-    assert ((row - 3) * PERIOD - ONSET) * rate < 0.025
+    assert ((row - 3) * PERIOD - ONSET) * rate < 0.027
 
 
 def test_an_encoder_that_freezes_is_named(scenario):
@@ -154,8 +151,81 @@ def test_a_sensor_that_jumps_differs_and_no_leg_is_named(channel, size):
     assert named == -1
 
 
-SENSORS = {"kind": "encoders", "noise": 2e-5, "imu": {"preset": "bmi088"}}
-LOOP = {"plant": "closed_form", "safety": {}, "duration": 2.5}
+def dead(imu):
+    imu[:, 4] = np.nan
+
+
+def frozen(imu):
+    imu[:] = imu[0]
+
+
+def saturated(imu):
+    imu[:, 0] = 10.0
+
+
+@pytest.mark.parametrize("fail", [dead, frozen, saturated])
+def test_a_sensor_without_new_values_is_wrong_and_no_leg_is(scenario, fail):
+    scenario = scenario.replace({"reference": {"kind": "hold"}})
+    params, angles, imu, reference = samples(scenario, ONSET + 0.5)
+    onset = round(ONSET / PERIOD)
+    fail(imu[onset:])
+    row, leg, _ = compare(scenario, params, angles, imu, reference)
+    assert 0 < row - onset <= 21
+    assert leg == -1
+
+
+def test_gaps_between_readings_are_bridged(scenario):
+    params, angles, imu, reference = samples(scenario, 20.0)
+    imu[np.arange(len(imu)) % 16 > 7] = np.nan
+    assert compare(scenario, params, angles, imu, reference)[0] == -1
+
+
+@pytest.mark.parametrize("angle", [0.25, 3.0])
+def test_a_sensor_that_is_mounted_otherwise_is_wrong_from_the_start(scenario, angle):
+    params, angles, imu, reference = samples(scenario, ONSET)
+    turn = Rotation.from_rotvec([angle, 0.0, 0.0])
+    imu = np.hstack([turn.apply(imu[:, :3]), turn.apply(imu[:, 3:])])
+    row, leg, _ = compare(scenario, params, angles, imu, reference)
+    assert 0 <= row <= round(0.5 / PERIOD)
+    assert leg == -1
+
+
+def test_a_slow_error_of_the_gyroscopes_along_the_line_of_a_leg_is_not_that_leg():
+    scenario = load_scenario("exact_breathing")
+    params, angles, imu, reference = samples(scenario, ONSET + 4.0)
+    lines = np.empty((6, 3))
+    lines_at(laws.robot_record(scenario.robot), scenario.robot.home_pose, laws.Legs.empty(), lines)
+    imu[round(ONSET / PERIOD) :, :3] += 0.015 * lines[2] / np.linalg.norm(lines[2])
+    row, leg, _ = compare(scenario, params, angles, imu, reference)
+    assert row > 0
+    assert leg == -1
+
+
+@pytest.mark.parametrize("leg", [1, 4])
+def test_a_tick_names_an_encoder(scenario, leg):
+    params, angles, imu, reference = samples(scenario, ONSET + 4.0)
+    angles[:, leg] += 0.02 * np.maximum(0.0, PERIOD * np.arange(len(angles)) - ONSET)
+    row, named, _ = compare(scenario, params, angles, imu, reference)
+    assert row > 0
+    assert named == leg
+
+
+def test_on_a_deck_that_rolls_the_sensor_on_the_base_is_needed():
+    deck = {"sensors": {"kind": "encoders", "imu": {"position": [0.02, 0.01, 0.01]}}, "duration": 1.5}
+    deck = load_scenario("rolling_deck").replace({**deck, "base.motion.fade_in": 0.2})
+    with pytest.raises(ConfigurationError, match=r"base\.motion: expected less than 0\.01745 rad.*base_compensation"):
+        run(deck.replace({"base_compensation": "none"}))
+    log = run(deck)
+    assert log.status == "completed"
+    assert np.abs(log["base_motion"][:, 9:]).max() > 0.05
+    unknown = run(deck.replace({"base_compensation": "none"}), check=False)
+    assert (unknown.safety["monitor"], unknown.safety["leg"]) == ("parity", None)
+
+
+def test_without_gravity_nothing_can_be_compared():
+    scenario = load_scenario("exact_breathing").replace({**LOOP, "sensors": SENSORS, "gravity": 0.0})
+    with pytest.raises(ConfigurationError, match=r"safety\.parity: expected null, without gravity"):
+        run(scenario, check=False)
 
 
 @pytest.mark.slow
