@@ -41,6 +41,7 @@ from stewart_drake.safety.residual import (
     MOTOR_WEAK,
     READING_WRONG,
     ResidualState,
+    fits_motors,
     is_unexplained,
     mark_suspects,
     motor_torques,
@@ -51,6 +52,7 @@ from stewart_drake.safety.stillness import FROZEN, LEAST_REPEATS, STANDING, Stil
 
 LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
+MOTOR_TICKS = 1.0  # Ticks of a residual that a faulty motor explains, and no impact does.
 IMPLAUSIBLE = 10.0  # Times the torque limit: a larger command is an error of the controller.
 REFILL = 0.05  # Ticks of the budget of holding that a good tick gives back: a fault that flickers uses it up too.
 _ROUNDING = 1e-9
@@ -87,6 +89,7 @@ class SafetyState(Record):
     at_limit: float  # Ticks at the torque limit.
     too_fast: float  # Ticks of commands that jumped.
     unexplained_ticks: float  # Ticks of residuals that were too large.
+    motor_ticks: float  # Those of them that a faulty motor explains.
     runaway_ticks: float  # Ticks of a stop in which a crank turned too fast.
     stop_ticks: float  # Ticks of ramp and safe hold so far.
     assembly_sign: float  # Sign of the rods' determinant at the start, 0 before the first tick.
@@ -194,6 +197,7 @@ def safety_tick(
     )
     unexplained = is_unexplained(params.residual, residual)
     state.unexplained_ticks = _counted(state.unexplained_ticks, unexplained)
+    state.motor_ticks = _counted(state.motor_ticks, unexplained and fits_motors(residual))
     still, standing = watch(robot, params.still, cranks, reference[:6], legs, state.still)
     state.ticks += 1.0
     is_measured = _is_finite(params, measurement)
@@ -209,7 +213,7 @@ def safety_tick(
         monitor, leg = broken(observed)
     if monitor == NO_TRIP and blind and (unexplained or still == FROZEN):
         monitor = READING
-    if monitor == NO_TRIP and state.unexplained_ticks > params.impact:
+    if monitor == NO_TRIP and (state.unexplained_ticks > params.impact or state.motor_ticks > MOTOR_TICKS):
         monitor = UNEXPLAINED
     if monitor == NO_TRIP and still == STANDING:
         monitor, leg = NOT_MOVING, standing

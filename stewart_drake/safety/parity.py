@@ -6,14 +6,17 @@ R. Mahony, T. Hamel, J.-M. Pflimlin, IEEE Trans. Autom. Control 53, 2008). The d
 vector. An encoder that is wrong moves it along a line of its own, one of six, which the Jacobian gives; an inertial
 sensor that is wrong moves it along none of them.
 
-Gravity says nothing about a turn around it, so this part of the orientation follows the encoders slowly.
+There are two bounds: one on the whole difference, and a lower one on its change within a tenth of a second, in which
+biases do not count. A sensor that is silent, repeats itself, or has an implausible bias is wrong too.
 
-Gyroscopes and gravity also check each other: an encoder that is wrong does not set them at odds. An inertial sensor is
-wrong as well if it gives no new readings, or if gravity at the start is not where its mounting has it.
+Gravity is the measured force less the acceleration of the encoders' pose, a second difference over blocks of samples;
+the forces are weighted as accelerations are in it. So no push and no blow moves the tilt. Gravity says nothing about a
+turn around it, so this part of the orientation follows the encoders slowly.
 """
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,43 +28,76 @@ from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.dynamics_laws import add_base_acceleration
+from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot, cross, dot, turned
-from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, largest_size, set_to, solve
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
+from stewart_drake.mechanics.rotations import rotation_between, turn_by, turned_back
 from stewart_drake.robot.gravity import base_reading
 
 if TYPE_CHECKING:
     from stewart_drake.hardware.imu import ImuOptions
 
-ALIGNMENT = 0.5  # [s] from the start in which biases are found; the robot's readings are believed in that time.
-TILT_TIME, BIAS_TIME, TURN_TIME = 1.0, 20.0, 5.0
+ALIGNMENT = 0.5  # [s] from the start in which biases are found.
+TILT_TIME, BIAS_TIME, TURN_TIME = 1.5, 10.0, 5.0
 """[s] in which gravity corrects the tilt and the gyroscopes' bias, and encoders the turn around gravity; assumed."""
-TRUSTED_FORCE = 0.2  # Share of gravity by which the specific force may differ from the expected one.
-CONFIRMED = 3.0  # Samples in a row beyond the bound, less those within it.
+MOST_TILT = 0.02
+"""[rad] largest tilt with which gravity corrects. More of it is an acceleration that wrong readings do not show."""
+TILT_MEAN, SAME, OPPOSITE = 0.1, 0.75, 0.5
+"""[s] of a mean of this tilt; its distance from the level part of the difference, as a share of that, within which both
+are the same; its share of that from which on it is opposite."""
+BLOCK = 0.01  # [s] least time between two positions of a second difference.
+CHANGE_TIME, CHANGE_PERIODS, CHANGE_SHARE = 0.1, 10.0, 0.2
+"""[s], [periods of the sensor] in which the difference may change by this share of its bound, besides noise and errors
+of scale."""
+SIGMAS, MOUNTING_ERROR = 6.0, 0.01
+"""Standard deviations for which bounds have room; [rad] error of the sensor's mounting; assumed."""
+LARGEST_RATE, LARGEST_TILT = math.radians(1.0), math.radians(4.0)
+"""[rad/s], [rad] by which a bias may be larger: encoders' noise at the start, and a tilt of the base; assumed."""
+SILENT, SILENT_PERIODS = 0.2, 5.0  # [s], [periods of the sensor] without a sample after which it has failed.
+REPEATS = 10.0  # Samples in a row that noise never repeats to the last bit.
+CONFIRMED, LEAST_TIME = 3.0, 0.005
+"""Samples in a row beyond a bound, less those within it; [s] that one counts at least where readings fit no pose."""
 ONE_LINE, OTHER_LINES = 0.35, 0.7
 """Share of the difference that is off a leg's line, below which the leg is named; and its largest share of that of the
 next leg."""
 ITERATIONS, TOLERANCE = 3, 1e-9  # Steps of Newton's method; [m] error of a rod.
-START_SPEED = 0.5  # [m/s] by which a robot that starts off its reference may gather speed, less at the end.
-SIGMAS = 5.0  # Standard deviations of its offsets and scales within which gravity is at the start.
-AT_ODDS, ODDS_TIME = 0.5, 0.1
-"""Share of the level part of the difference to which gyroscopes and gravity agree or differ; [s] of the mean of it."""
-AGREES, DIFFERS, INERTIAL = 0, 1, 2
+AGREES, DIFFERS, CHANGED, FAILED = range(4)
+"""DIFFERS: by more than the bound. CHANGED: too fast. FAILED: the sensor, or the readings fit no pose."""
 
 
 class ParityParams(Record):
     """Parameters of the comparison."""
 
     period: float  # [s] of a sample.
+    tick: float  # [s]
     base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     mounting: Mat3  # R_PI of the sensor.
     place: Vec3  # [m] of the sensor in P.
     later: float  # [s] by which a sample of the inertial sensor is older than a reading of the encoders.
-    bound: float  # [rad] largest difference of the two orientations.
-    sample: float  # [ticks] between two samples.
-    longest_gap: float  # [ticks] without a new sample; 0 for any number.
-    noisy: float  # 1 if two samples of a working sensor are never the same.
-    range: Vec6  # [rad/s, m/s^2] samples that are not below it are not used; 0 for none.
-    force_bias: float  # [m/s^2] largest offset of an accelerometer; 0 for any.
+    bound: float  # [rad] largest difference of the two orientations, infinite for none.
+    change_time: float  # [s] in which changes of the difference are compared.
+    change: float  # [rad] largest change of the difference in this time.
+    share: float  # [-] of the turn by which both may be larger.
+    bias: Vec2  # [rad/s, m/s^2] largest plausible biases.
+    excess: float  # [m/s^2] by which measured forces may exceed those expected in the mean of `change_time`.
+    level: float  # [rad] least difference of which gravity tells whether the inertial sensor is wrong.
+    range: float  # [m/s^2] from which on a force is not used.
+    silent: float  # [s] longest time without a sample.
+    repeats: float  # Times that a sample may be repeated to the last bit.
+
+
+class ForceBlock(Record):
+    """The samples since the last position for a second difference."""
+
+    count: float  # Positions so far.
+    weighed: float  # Blocks of which the bias is the mean.
+    time: float  # [s]
+    impulse: Vec3  # [m/s] integral of the measured force in B.
+    path: Vec3  # [m] integral of that.
+    last_impulse: Vec3  # Of the block before.
+    last_path: Vec3
+    place: Vec3  # [m] of the sensor in B at the start of the block.
+    step: Vec3  # [m] to there from the start of the block before.
 
 
 class ParityState(Record):
@@ -69,79 +105,22 @@ class ParityState(Record):
 
     parity: Vec2  # 1 while the two differ, else 0; the leg whose reading is wrong, -1 for none.
     samples: float  # Number of samples so far.
+    elapsed: float  # [s] since the last sample.
+    unread: float  # [s] since the last pose.
     pose: Vec6  # [rad, m] of the encoders.
     rotation: Mat3  # R_BP of the inertial sensor.
     rate_bias: Vec3  # [rad/s] of the gyroscopes, in P.
     force_bias: Vec3  # [m/s^2] of the accelerometers, in P.
     difference: Vec3  # [rad] rotation in B from the inertial sensor's orientation to the encoders'.
-    count: float  # Samples beyond the bound, less those within it.
-    last: Vec6  # [rad/s, m/s^2] the newest sample.
-    gap: float  # [ticks] since a sample that was used.
-    odds: Vec3  # [rad] mean turn in B from the orientation by gyroscopes to that by gravity.
-    excess: float  # [m/s^2] mean by which the specific force is larger than the expected one.
-
-
-@njit
-def turn_by(vector: Vec3, matrix: Mat3) -> None:
-    """Turns a rotation matrix by a rotation vector [rad] in its outer frame, in place (Rodrigues)."""
-    angle = np.sqrt(dot(vector, vector))
-    s = np.sin(angle) / angle if angle > 1e-8 else 1.0
-    c = (1.0 - np.cos(angle)) / angle**2 if angle > 1e-8 else 0.5
-    axis, first, second = np.empty(3), np.empty(3), np.empty(3)
-    for column in range(3):
-        for k in range(3):
-            axis[k] = matrix[k, column]
-        cross(vector, axis, first)
-        cross(vector, first, second)
-        for k in range(3):
-            matrix[k, column] += s * first[k] + c * second[k]
-
-
-@njit
-def rotation_between(matrix: Mat3, other: Mat3, out: Vec3) -> None:
-    """Rotation vector [rad] of `matrix` times the transpose of `other`, of angles below pi."""
-    trace, first, second, product = 0.0, np.empty(3), np.empty(3), np.empty(3)
-    set_to(out, 0.0)
-    for m in range(3):
-        for k in range(3):
-            first[k], second[k] = matrix[k, m], other[k, m]
-        trace += dot(first, second)
-        # The vector of the skew part of sum_m a_m b_m^T is half the sum of b_m x a_m.
-        cross(second, first, product)
-        for k in range(3):
-            out[k] += 0.5 * product[k]
-    sine = np.sqrt(dot(out, out))
-    angle = np.arctan2(sine, 0.5 * (trace - 1.0))
-    scale = angle / sine if sine > 1e-9 else 1.0
-    for k in range(3):
-        out[k] *= scale
-
-
-@njit
-def turned_back(matrix: Mat3, vector: Vec3, out: Vec3) -> None:
-    """Transpose of a matrix times a vector."""
-    for i in range(3):
-        out[i] = matrix[0, i] * vector[0] + matrix[1, i] * vector[1] + matrix[2, i] * vector[2]
-
-
-@njit
-def sensor_acceleration(place: Vec3, reference: Vec18, out: Vec3) -> None:
-    """Acceleration [m/s^2] in B of a place (3,) [m] in P, in the motion of a reference (18,)."""
-    turn, arm, omega, alpha, drift = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    rpy = reference[:3]
-    laws.rotation(rpy, turn)
-    turned(turn, place, arm)
-    laws.angular_velocity(rpy, reference[6:9], omega)
-    laws.angular_velocity(rpy, reference[12:15], alpha)
-    laws.euler_drift(rpy, reference[6:9], drift)
-    inner, outer = np.empty(3), np.empty(3)
-    cross(omega, arm, inner)
-    cross(omega, inner, outer)
-    for k in range(3):
-        alpha[k] += drift[k]
-    cross(alpha, arm, inner)
-    for k in range(3):
-        out[k] = reference[15 + k] + inner[k] + outer[k]
+    change: Vec3  # [rad] of this difference in `change_time`.
+    turn: Vec3  # [rad] of the platform in this time.
+    swing: Vec3  # [rad] of the platform in `TILT_TIME`.
+    tilt: Vec3  # [rad] mean turn in B from the inertial orientation to that by gravity.
+    excess: float  # [m/s^2] size of what measured forces exceed those expected, low-passed.
+    count: float  # Samples beyond a bound, less those within it.
+    sample: Vec6  # The last one.
+    repeats: float  # Times that it has been repeated.
+    block: ForceBlock
 
 
 @njit
@@ -186,182 +165,197 @@ def parity_sample(
 ) -> int:
     """A sample: readings (6,) [rad] of the encoders; rates [rad/s] and specific force [m/s^2] (6,) of the sensor.
 
-    A sample of the sensor is the mean of the time since the last one.
+    A sample of the sensor is the mean of its period; after missing ones the encoders' turn is taken instead. Readings
+    that are not finite are left out.
 
     Returns:
-        AGREES, DIFFERS, or INERTIAL if the inertial sensor is wrong; `legs` are those of the encoders' pose. Samples
-        that are not finite, saturated, or repeat the last one of a noisy sensor are left out.
+        AGREES, DIFFERS, CHANGED or FAILED; `legs` are those of the encoders' pose.
     """
-    if not all_finite(angles):
-        return AGREES
-    state.gap += 1.0
-    if not _is_new(params, imu, state):
-        return INERTIAL if 0.0 < params.longest_gap < state.gap else AGREES
-    pose, before = state.pose[:], np.empty((3, 3))
-    is_first = state.samples == 0.0
-    if is_first:
-        copy_to(pose, reference[:6])
-    laws.rotation(pose[:3], before)
+    rates, force, before = np.empty(3), np.empty(3), np.empty((3, 3))
+    state.unread += state.elapsed
+    if state.samples == 0.0:
+        copy_to(state.pose[:], reference[:6])
+    laws.rotation(state.pose[:3], before)
+    is_read = all_finite(angles)
+    fits = is_read and _read(robot, angles, legs, state)
+    if state.samples == 0.0 and fits:
+        for k in range(3):
+            copy_to(state.rotation[k], legs.rotation[k])
+    elif state.samples > 0.0:
+        turned(params.mounting, imu[:3], rates)
+        turned(params.mounting, imu[3:], force)
+        late = fits and state.elapsed > 1.5 * params.period
+        if late:
+            rotation_between(legs.rotation, before, rates)
+            turn_by(rates, state.rotation[:])
+        else:
+            _turn(params, rates, state)
+        aligning = state.samples * params.period <= ALIGNMENT
+        if fits:
+            _compare(params, legs, before, aligning, state)
+        _weigh(params, legs, force, fits and not late, aligning, state)
+    state.samples += 1.0 if fits or state.samples > 0.0 else 0.0
+    contradict = is_read and not fits and state.unread >= CONFIRMED * max(params.period, LEAST_TIME)
+    result = FAILED if contradict else _judge(params, imu, state)
+    state.elapsed, state.unread = 0.0, 0.0 if fits else state.unread
+    state.count = min(max(0.0, state.count + (1.0 if result != AGREES else -1.0)), CONFIRMED)
+    return result if contradict or state.count >= CONFIRMED else AGREES
+
+
+@njit
+def _read(robot: Robot, angles: Vec6, legs: Legs, state: ParityState) -> bool:
+    """Pose and legs of readings; False, and the last pose, where there is none."""
+    pose = state.pose.copy()
     error, _ = laws.forward_kinematics(robot, angles, pose, TOLERANCE, ITERATIONS)
     if not error <= 1e-3 * robot.length or laws.legs_at(robot, pose, legs) >= 0:
-        return AGREES
-    if is_first:
-        for k in range(3):
-            copy_to(before[k], legs.rotation[k])
-    rates, force, expected = np.empty(3), np.empty(3), np.empty(3)
-    turned(params.mounting, imu[:3], rates)
-    turned(params.mounting, imu[3:], force)
-    _expect(params, reference, expected)
-    gap, state.gap = state.gap, 0.0
-    is_late = gap > 1.5 * params.sample > 0.0
-    if (state.samples + 1.0) * params.period <= ALIGNMENT:
-        if not is_late:
-            state.samples += 1.0
-            _align(params, legs, before, rates, force, expected, state)
-        return INERTIAL if _is_turned(params, state) else AGREES
-    state.samples += 1.0
-    if is_late:
-        _bridge(legs, before, 1.0 - params.sample / gap, state)
-    _turn(params, legs, before, rates, force, expected, state)
-    size = np.sqrt(dot(state.difference, state.difference))
-    state.count = max(0.0, state.count + (1.0 if size > params.bound else -1.0))
-    state.count = min(state.count, CONFIRMED)
-    if _is_turned(params, state) or _is_at_odds(params, state):
-        return INERTIAL
-    return DIFFERS if state.count >= CONFIRMED else AGREES
-
-
-@njit
-def _is_new(params: ParityParams, imu: Vec6, state: ParityState) -> bool:
-    """Whether a sample is one to use; keeps it."""
-    same = params.noisy > 0.0
-    for k in range(6):
-        if not np.isfinite(imu[k]) or 0.0 < params.range[k] <= abs(imu[k]):
-            return False
-        same = same and imu[k] == state.last[k]
-    copy_to(state.last[:], imu)
-    return not same
-
-
-@njit
-def _expect(params: ParityParams, reference: Vec18, out: Vec3) -> None:
-    """Specific force [m/s^2] in B at the sensor, in the motion of a reference (18,)."""
-    turn, place, velocity, omega = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
-    sensor_acceleration(params.place, reference, out)
-    laws.rotation(reference[:3], turn)
-    turned(turn, params.place, place)
-    laws.angular_velocity(reference[:3], reference[6:9], omega)
-    cross(omega, place, velocity)
-    for k in range(3):
-        place[k] += reference[3 + k]
-        velocity[k] += reference[9 + k]
-        out[k] += params.base[k]
-    add_base_acceleration(params.base, place, velocity, out)
-
-
-@njit
-def _is_turned(params: ParityParams, state: ParityState) -> bool:
-    """Whether gravity was not where the mounting has it, by the offsets of the accelerometers at the start."""
-    if params.force_bias == 0.0 or state.samples == 0.0:
         return False
-    elapsed = min(state.samples * params.period, ALIGNMENT)
-    most = params.force_bias + START_SPEED * (1.0 / elapsed - 1.0 / ALIGNMENT)
-    return largest_size(state.force_bias[:]) > most
+    copy_to(state.pose[:], pose)
+    return True
 
 
 @njit
-def _is_at_odds(params: ParityParams, state: ParityState) -> bool:
-    """Whether gyroscopes and accelerometers contradict each other, or gravity is not what it was."""
-    largest = np.sqrt(dot(params.base[:3], params.base[:3]))
-    if abs(state.excess) > TRUSTED_FORCE * largest:
-        return True
-    # Gravity sees the level part of the difference. Gyroscopes that are wrong go from gravity and encoders alike; wrong
-    # accelerometers go from both the other way, farther than the orientation, which follows them slowly.
-    level, apart = np.empty(3), np.empty(3)
-    around = dot(state.difference, params.base[:3]) / largest**2
-    for k in range(3):
-        level[k] = state.difference[k] - around * params.base[k]
-        apart[k] = state.odds[k] - level[k]
-    size, odds, along = dot(level, level), dot(state.odds, state.odds), dot(state.odds, level)
-    if state.count < CONFIRMED:
-        return False
-    return dot(apart, apart) < AT_ODDS**2 * size or (along < 0.0 and odds > AT_ODDS**2 * size)
-
-
-@njit
-def _align(
-    params: ParityParams, legs: Legs, before: Mat3, rates: Vec3, force: Vec3, expected: Vec3, state: ParityState
-) -> None:
-    """Finds both biases as means; the orientation is that of the encoders."""
-    turn, share = np.empty(3), 1.0 / state.samples
-    rotation_between(legs.rotation, before, turn)
-    for k in range(3):
-        copy_to(state.rotation[k], legs.rotation[k])
-    true_rate, true_force = np.empty(3), np.empty(3)
-    for k in range(3):
-        turn[k] = turn[k] / params.period + params.base[3 + k]
-    turned_back(legs.rotation, turn, true_rate)
-    turned_back(legs.rotation, expected, true_force)
-    for k in range(3):
-        state.rate_bias[k] += share * (rates[k] - true_rate[k] - state.rate_bias[k])
-        state.force_bias[k] += share * (force[k] - true_force[k] - state.force_bias[k])
-
-
-@njit
-def _turn(
-    params: ParityParams, legs: Legs, before: Mat3, rates: Vec3, force: Vec3, expected: Vec3, state: ParityState
-) -> None:
-    """Turns the inertial orientation, corrects it by gravity, and compares it with the encoders'."""
-    rotation, step, h = state.rotation[:], np.empty(3), params.period
+def _turn(params: ParityParams, rates: Vec3, state: ParityState) -> None:
+    """Turns the inertial orientation by a sample of the gyroscopes [rad/s] in P."""
+    step, h = np.empty(3), state.elapsed
     for k in range(3):
         rates[k] -= state.rate_bias[k]
-        force[k] -= state.force_bias[k]
-    turned(rotation, rates, step)
+    turned(state.rotation, rates, step)
+    keep, keep_swing = np.exp(-h / params.change_time), np.exp(-h / TILT_TIME)
     for k in range(3):
         step[k] = h * (step[k] - params.base[3 + k])
-    turn_by(step, rotation)
-    # Gravity: the tilt that turns the measured force into the expected one.
-    measured, tilt, in_platform = np.empty(3), np.zeros(3), np.empty(3)
-    turned(rotation, force, measured)
-    weight, largest = np.sqrt(dot(expected, expected)), np.sqrt(dot(params.base[:3], params.base[:3]))
-    excess, share = np.sqrt(dot(measured, measured)) - weight, min(1.0, h / ODDS_TIME)
-    state.excess += h / TILT_TIME * (excess - state.excess)
-    if abs(excess) < TRUSTED_FORCE * largest:
-        cross(measured, expected, tilt)
-        for k in range(3):
-            tilt[k] /= weight**2
-            # An encoder that jumps moves the platform at once; of that acceleration a part is gravity's no more.
-            clipped = min(max(tilt[k], -params.bound), params.bound)
-            state.odds[k] += share * (clipped - state.odds[k])
-            tilt[k] *= h / TILT_TIME
-        turn_by(tilt, rotation)
-        turned_back(rotation, tilt, in_platform)
-        for k in range(3):
-            state.rate_bias[k] -= in_platform[k] / BIAS_TIME
-    difference = state.difference[:]
-    rotation_between(legs.rotation, rotation, difference)
-    # Around gravity: the encoders.
-    around = dot(difference, params.base[:3]) / largest**2 * h / TURN_TIME
-    for k in range(3):
-        step[k] = around * params.base[k]
-    turn_by(step, rotation)
-    turned_back(rotation, step, in_platform)
-    for k in range(3):
-        state.rate_bias[k] -= in_platform[k] / BIAS_TIME
-    # The encoders' turn since a sample of this age.
-    rotation_between(legs.rotation, before, step)
-    for k in range(3):
-        difference[k] -= step[k] * params.later / h
+        state.change[k] *= keep
+        state.turn[k] = keep * state.turn[k] + step[k]
+        state.swing[k] = keep_swing * state.swing[k] + step[k]
+    turn_by(step, state.rotation[:])
 
 
 @njit
-def _bridge(legs: Legs, before: Mat3, share: float, state: ParityState) -> None:
-    """Turns the inertial orientation by a share of the encoders' turn since the last sample, where some are missing."""
-    turn = np.empty(3)
-    rotation_between(legs.rotation, before, turn)
+def _has_changed(params: ParityParams, state: ParityState) -> bool:
+    """Whether the difference has changed by more than noise and errors of scale explain."""
+    largest = params.change + params.share * np.sqrt(dot(state.turn, state.turn))
+    return state.samples * params.period > params.change_time and dot(state.change, state.change) > largest * largest
+
+
+@njit
+def _compare(params: ParityParams, legs: Legs, before: Mat3, aligning: bool, state: ParityState) -> None:
+    """Difference of the encoders' orientation from the inertial one, and its change; `before` is that of the last pose.
+
+    While biases are found, as means, the difference corrects all of the orientation, later that around gravity.
+    """
+    now, step, in_platform = np.empty(3), np.empty(3), np.empty(3)
+    rotation_between(legs.rotation, state.rotation, now)
+    # The encoders' turn since a sample of this age.
+    rotation_between(legs.rotation, before, step)
+    around = dot(now, params.base[:3]) / dot(params.base[:3], params.base[:3]) * state.unread / TURN_TIME
     for k in range(3):
-        turn[k] *= share
-    turn_by(turn, state.rotation[:])
+        now[k] -= step[k] * params.later / state.unread
+        state.change[k] += now[k] - state.difference[k]
+    aligning = aligning and not _has_changed(params, state)
+    for k in range(3):
+        step[k] = now[k] if aligning else around * params.base[k]
+        state.difference[k] = now[k] - step[k]
+    turn_by(step, state.rotation[:])
+    turned_back(state.rotation, step, in_platform)
+    share = 1.0 / (state.unread * state.samples) if aligning else 1.0 / BIAS_TIME
+    for k in range(3):
+        state.rate_bias[k] -= share * in_platform[k]
+
+
+@njit
+def _weigh(params: ParityParams, legs: Legs, force: Vec3, fits: bool, aligning: bool, state: ParityState) -> None:
+    """Corrects the tilt by a sample of the accelerometers [m/s^2] in P; while biases are found, finds theirs."""
+    block, h, time, length = state.block, state.elapsed, state.block.time + state.elapsed, max(BLOCK, params.period)
+    in_base, place, velocity, carried = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    turned(legs.rotation, params.place, place)
+    for k in range(3):
+        force[k] -= 0.0 if aligning else state.force_bias[k]
+        place[k] += state.pose[3 + k]
+        velocity[k], carried[k] = block.step[k] / length, params.base[k]
+    add_base_acceleration(params.base, place, velocity, carried)
+    turned(state.rotation, force, in_base)
+    for k in range(3):
+        in_base[k] -= carried[k]
+        block.path[k] += h * (block.impulse[k] + 0.5 * h * in_base[k])
+        block.impulse[k] += h * in_base[k]
+    block.time = time
+    if not fits or dot(force, force) > params.range * params.range:
+        block.count = 0.0
+    elif block.count == 0.0 or time >= BLOCK - 1e-9:
+        excess, step = np.empty(3), np.empty(3)
+        for k in range(3):
+            step[k] = place[k] - block.place[k]
+            change = block.path[k] - block.last_path[k] + time * block.last_impulse[k] - step[k] + block.step[k]
+            excess[k] = change / time**2
+            block.place[k] += step[k]
+            block.step[k] = step[k]
+            block.last_path[k], block.last_impulse[k] = block.path[k], block.impulse[k]
+            block.path[k], block.impulse[k] = 0.0, 0.0
+        block.time = 0.0
+        block.count += 1.0
+        if block.count >= 3.0:
+            _tilt(params, excess, time, aligning, state)
+
+
+@njit
+def _tilt(params: ParityParams, excess: Vec3, time: float, aligning: bool, state: ParityState) -> None:
+    """Corrects the tilt by what forces in a time [s] exceed the expected ones [m/s^2] in B."""
+    step, in_platform, keep = np.empty(3), np.empty(3), np.exp(-time / params.change_time)
+    state.excess = keep * state.excess + (1.0 - keep) * np.sqrt(dot(excess, excess))
+    if aligning:
+        turned_back(state.rotation, excess, in_platform)
+        state.block.weighed += 1.0
+        for k in range(3):
+            state.force_bias[k] += (in_platform[k] - state.force_bias[k]) / state.block.weighed
+        return
+    cross(excess, params.base[:3], step)
+    largest = max(dot(params.base[:3], params.base[:3]), np.sqrt(dot(step, step)) / MOST_TILT)
+    for k in range(3):
+        step[k] /= largest
+        state.tilt[k] += min(1.0, time / TILT_MEAN) * (step[k] - state.tilt[k])
+        step[k] *= time / TILT_TIME
+        state.difference[k] -= step[k]
+    turn_by(step, state.rotation[:])
+    turned_back(state.rotation, step, in_platform)
+    for k in range(3):
+        state.rate_bias[k] -= in_platform[k] / BIAS_TIME
+
+
+@njit
+def _judge(params: ParityParams, imu: Vec6, state: ParityState) -> int:
+    """Whether a sample is plausible, and agrees with the encoders."""
+    same, plausible, difference = True, True, state.difference
+    for k in range(6):
+        same = same and imu[k] == state.sample[k]
+    copy_to(state.sample[:], imu)
+    state.repeats = state.repeats + 1.0 if same else 0.0
+    if state.samples * params.period <= params.change_time:
+        return AGREES
+    for k in range(3):
+        plausible = plausible and abs(state.rate_bias[k]) <= params.bias[0]
+        plausible = plausible and abs(state.force_bias[k]) <= params.bias[1]
+    if not plausible or state.repeats >= params.repeats or state.excess > params.excess:
+        return FAILED
+    if _has_changed(params, state):
+        return CHANGED
+    bound = params.bound + params.share * np.sqrt(dot(state.swing, state.swing))
+    return DIFFERS if np.sqrt(dot(difference, difference)) > bound else AGREES
+
+
+@njit
+def _is_at_odds(params: ParityParams, difference: Vec3, state: ParityState) -> bool:
+    """Whether gyroscopes and gravity contradict each other: the inertial sensor is wrong.
+
+    Gyroscopes that are wrong go from gravity and encoders alike; wrong accelerometers go from both the other way.
+    """
+    level, apart = np.empty(3), np.empty(3)
+    around = dot(difference, params.base[:3]) / dot(params.base[:3], params.base[:3])
+    for k in range(3):
+        level[k] = difference[k] - around * params.base[k]
+        apart[k] = state.tilt[k] - level[k]
+    size, odds, along = dot(level, level), dot(state.tilt, state.tilt), dot(state.tilt, level)
+    if size < params.level * params.level:
+        return False
+    return dot(apart, apart) < SAME**2 * size or (along < 0.0 and odds > OPPOSITE**2 * size)
 
 
 @njit
@@ -370,35 +364,56 @@ def parity_tick(
 ) -> None:
     """A tick; `imu` (6,) is NaN where there is no new sample."""
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
-    result = parity_sample(robot, params, reading, imu, reference, legs, state)
-    if result == AGREES:
+    state.elapsed += params.tick
+    result, lines = AGREES, np.empty((6, 3))
+    if all_finite(imu):
+        result = parity_sample(robot, params, reading, imu, reference, legs, state)
+    elif state.elapsed > params.silent:
+        result = FAILED
+    elif state.parity[0] != 0.0:
+        return
+    if result == AGREES or params.bound == np.inf:
         state.parity[0], state.parity[1] = 0.0, -1.0
     elif state.parity[0] == 0.0:
-        leg, lines = -1, np.empty((6, 3))
-        if result == DIFFERS and encoder_lines(legs, lines):
-            leg = suspect_leg(lines, state.difference)[0]
-        state.parity[0], state.parity[1] = 1.0, float(leg)
+        wrong = state.change if result == CHANGED else state.difference
+        known = result != FAILED and not _is_at_odds(params, wrong, state) and encoder_lines(legs, lines)
+        state.parity[0], state.parity[1] = 1.0, float(suspect_leg(lines, wrong)[0]) if known else -1.0
 
 
 def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:
     """`reading` (6,) [rad], `imu` (6,), `reference` (18,) -> `parity` (2,), for a bound [rad] of the difference."""
-    period, base = imu.period or context.period, base_reading(context.gravity)
+    period, robot, base = max(imu.period or 0.0, context.period), context.robot, base_reading(context.gravity)
     if not base[:3].any():
         raise ConfigurationError("safety.parity", bound, "null, without gravity")
+    change_time = max(CHANGE_TIME, CHANGE_PERIODS * period)
+    turn, shift = (
+        float(np.linalg.norm(rows, 2)) for rows in np.split(np.linalg.inv(twist_jacobian(robot, robot.home_pose)), 2)
+    )
+    noise = change_time * imu.noise(change_time)[:3].max()
+    # A second difference of noise has sqrt(6) times its size.
+    shift *= math.sqrt(6.0) * context.noise / max(BLOCK, period) ** 2
+    noise = math.hypot(noise, turn * math.sqrt(2.0) * context.noise)
+    share = SIGMAS * imu.scale_error
+    force_bias = SIGMAS * imu.accelerometer_bias + (math.sin(LARGEST_TILT) + share) * STANDARD_GRAVITY
     params = ParityParams.new(
         period=period,
+        tick=context.period,
         base=base,
         mounting=imu.mounting,
         place=imu.position,
         later=imu.delay - context.reading_age,
         bound=bound,
-        sample=max(1.0, period / context.period),
-        longest_gap=imu.longest_gap(context.period) / context.period,
-        noisy=(imu.noise(period) > imu.quantum).any(),
-        range=imu.by_channel("range") - imu.quantum,
-        force_bias=SIGMAS * (imu.accelerometer_bias + imu.scale_error * STANDARD_GRAVITY),
+        change_time=change_time,
+        change=CHANGE_SHARE * bound + SIGMAS * noise,
+        share=share + MOUNTING_ERROR,
+        bias=(SIGMAS * imu.gyro_bias + LARGEST_RATE, force_bias),
+        excess=force_bias + SIGMAS * shift,
+        level=0.5 * SIGMAS * min(1.0, max(BLOCK, period) / TILT_MEAN) * shift / STANDARD_GRAVITY,
+        range=0.99 * imu.accelerometer_range,
+        silent=max(SILENT, SILENT_PERIODS * period),
+        repeats=REPEATS if (imu.noise(period) > imu.quantum).any() else np.inf,
     )
-    inputs, parameters = {"reading": 6, "imu": 6, "reference": 18}, {"robot": laws.robot_record(context.robot)}
+    inputs, parameters = {"reading": 6, "imu": 6, "reference": 18}, {"robot": laws.robot_record(robot)}
     first = ParityState.new(parity=[0.0, -1.0])
     part = Part("parity", parity_tick, {}, inputs, ("parity",), first, (Legs,))
     return part._replace(parameters=parameters | {"params": params})
@@ -415,12 +430,11 @@ def parity_rows(
     state: ParityState,
     out: np.ndarray,
 ) -> int:
-    """`parity_sample` of rows; differences (n, 3) [rad]. Returns the first row that differs, or -1."""
-    robot, params, legs, state = record(robot), record(params), record(legs), record(state)
-    first = -1
+    """`parity_tick` of rows; differences (n, 3) [rad]. Returns the first row in which the two differ, or -1."""
+    first, now = -1, record(state)
     for row in range(len(angles)):
-        result = parity_sample(robot, params, angles[row], imu[row], references[row], legs, state)
-        copy_to(out[row], state.difference)
-        if result == DIFFERS and first < 0:
+        parity_tick(robot, params, angles[row], imu[row], references[row], legs, state)
+        copy_to(out[row], now.difference)
+        if now.parity[0] != 0.0 and first < 0:
             first = row
     return first

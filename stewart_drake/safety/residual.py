@@ -324,6 +324,23 @@ def _are_swapped(state: ResidualState, motor: int, another: int) -> bool:
 
 
 @njit
+def fits_motors(state: ResidualState) -> bool:
+    """Whether the residual is that of a dead or reversed motor, or of two that are swapped: no impact has its size."""
+    motor, another, _, _ = two_largest(state.missing_torque[:])
+    sent, rest, friction = state.mean_torque, 0.0, state.friction_bound
+    for i in range(6):
+        rest = max(rest, abs(state.residual[i]) if i != motor and i != another else 0.0)
+    for kind in range(3):
+        first = sent[motor] * (1.0 + kind) if kind < 2 else sent[motor] - sent[another]
+        second = 0.0 if kind < 2 else -first
+        within = SWAPPED_WITHIN * abs(first) + friction
+        error = max(abs(state.residual[motor] - first), abs(state.residual[another] - second))
+        if max(error, rest) < within:
+            return True
+    return False
+
+
+@njit
 def is_unexplained(params: ResidualParams, state: ResidualState) -> bool:
     """True if the residual exceeds its bound, or a lower bound where one or two legs dominate.
 

@@ -68,6 +68,8 @@ class FaultCase(Section):
     """[s] onset of the fault; 0 for a fault from the start."""
     encoders: Keys | None = None
     """Keys of `sensors`, for a loop with encoders and a command delay of one tick; null for ideal sensors."""
+    imu: Keys | None = None
+    """Keys of `sensors.imu`, for a robot that has one: other robots do not have this fault."""
     within: NotNegative | None = None
     """[s] largest latency of the trip, if the limits of the safety layer determine it; null if it depends on motion
     and robot."""
@@ -81,9 +83,11 @@ class FaultCase(Section):
             path = {"kind": "minimum_jerk", "poses": [home, away], "durations": [self.drift_time], "dwell": [ONSET]}
             reference = {"kind": "sum", "parts": [reference, path]}
         changes = {"reference": reference, **scale_to_robot(self.changes, base)}
-        if self.encoders is not None:
+        if self.encoders is not None or self.imu is not None:
             # A real drive has encoders and commands that are a tick late.
-            changes |= {"sensors": {"kind": "encoders", **self.encoders}, "command_delay": 1}
+            imu = None if base.sensors.imu is None else {**base.sensors.imu.to_dict(), **(self.imu or {})}
+            sensors = {"kind": "encoders", **(self.encoders or {}), "imu": imu}
+            changes |= {"sensors": sensors, "command_delay": 1}
         return changes
 
 
@@ -169,6 +173,7 @@ def fault_study(
 ) -> FaultStudy:
     start = base(robot, overrides, trust_code)
     given, trials, cases = given_keys(start), [], []
+    pairs = [(fault, motion) for fault, motion in pairs if fault.imu is None or start.sensors.imu is not None]
     for index, (fault, motion) in enumerate(pairs):
         changes, labels = fault.in_motion(motion, start), {"fault": fault.name, "motion": motion}
         cases.append({**fault.to_dict(), **changes})
