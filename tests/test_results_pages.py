@@ -11,6 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import adaptation_study as adaptation
+import ball_study as ball
 import drive_reachy
 import integrators
 import numpy as np
@@ -155,6 +156,13 @@ def test_margins(page):
     assert_says(page.cell("observer", column="disk").partition(",")[0], found.disk[0])
     assert_says(page.cell("observer", column="gain"), found.gain_low[0], found.gain_high[0])
     assert_says(page.cell("observer", column="phase [deg]"), np.degrees(found.phase[0]))
+
+
+def test_ball(page):
+    for name, (scenario, changes) in list(ball.INNER.items())[::3] + list(ball.ROWS.items())[4:5]:
+        cells = ball.row(name, run(load_scenario(scenario).replace(changes)))
+        for column, value in zip(ball.COLUMNS, cells[1:], strict=True):
+            assert_says(page.cell(name, column=column), float(value), within=NOISY)
 
 
 def test_reach(page):

@@ -140,7 +140,8 @@ class _ControllersSide:
     """
 
     def __init__(self, scenario: Scenario, reading: np.ndarray) -> None:
-        loop = control_side(scenario, split=True)
+        # The inner loop; a ball and its control are not in it.
+        loop = control_side(scenario.replace({"ball_control": None}), split=True)
         parts = list(loop.every_part)
         if any(part.system is not None for part in parts):
             raise ConfigurationError("controller.kind", scenario.controller.kind, "no LeafSystem, for a linear loop")

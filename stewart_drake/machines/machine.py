@@ -118,6 +118,9 @@ def open_machine(url: str, scenario: Scenario, trust_code: bool = False) -> Mach
     Raises:
         ConfigurationError: A URL that names no machine, code that is not trusted, a machine that takes something else.
     """
+    if scenario.ball_control is not None:
+        allowed = "null, for a machine: none reads a ball's place; `Controller.step` in Python takes one"
+        raise ConfigurationError("ball_control", "a section", allowed)
     kind, _, rest = url.partition(":")
     if kind in MACHINES.names:
         factory = MACHINES[kind]

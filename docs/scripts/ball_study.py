@@ -40,16 +40,17 @@ TEXT = """# A ball on the platform
 How well is a ball balanced, by which robot, and what does the inner loop add?
 Command: `make results/ball`, two minutes. Scenarios: `ball`, `ball_hexapod`.
 
-A ball starts {start:g} mm off the centre ({slow_start:g} mm on the hexapod), is thrown at 3 s ({throw:.2f} and
-{slow_throw:.2f} m/s), and follows a circle from 7 s on ({circle:g} mm in {turn:g} s; {slow_circle:g} mm in
-{slow_turn:g} s). Settled: from then on within {near:g} mm. The circle counts after its first turn.
+A ball starts {start:g} mm off the centre, on the hexapod {slow_start:g} mm; is thrown at 3 s by {throw:.2f} or
+{slow_throw:.2f} m/s; and from 7 s on follows a circle of {circle:g} mm in {turn:g} s, or {slow_circle:g} mm in
+{slow_turn:g} s.
+Settled: from then on within {near:g} mm. The circle counts after its first turn.
 
 {rows}
 
-- The loop tilts the platform by at most 8 deg: from 50 mm a ball needs at least {least:.2f} s, at full tilt one way and then
-  the other.
-- On Drake's plant the ball is a body in contact with friction; the closed form's ball cannot slip. Their paths differ by
-  {apart:.1f} mm at most.
+- The loop tilts the platform by at most 8 deg: from 50 mm a ball needs at least {least:.2f} s, at full tilt one way
+  and then the other.
+- On Drake's plant the ball is a body in contact with friction; the closed form's ball cannot slip. Their paths differ
+  by {apart:.1f} mm at most.
 - A table tennis ball has more rolling resistance. The controller counts with it along the circle, not at rest.
 
 ## The inner loop
@@ -59,7 +60,7 @@ The paper's robot with the steel ball, and other inner loops.
 {inner}
 
 - The outer loop gives a reference with rate and acceleration. An inner loop with exact inverse dynamics follows it
-  {better:.0f} times closer at 100 Hz than one that knows only the weight; the ball's own loop hides most of the rest.
+  {better:.0f} times closer at 100 Hz than one that knows only the weight. The ball's loop hides most of the rest.
 """
 
 
