@@ -384,8 +384,7 @@ def wire(options: ControlOptions, context: LoopContext, reading: str = "reading"
             parts.append(
                 parity_part(context, context.imu, safety.parity).connected(reading=reading, reference=reference)
             )
-            seen["parity"] = "parity"
-            logged["imu"] = "imu"
+            seen["parity"], logged["imu"] = "parity", "imu"
         layer = [safety_part(safety, context).connected(**seen).named(torque="safe_torque")]
 
     # A sensor of the base writes parameters of all these parts, and so do adaptive laws.
