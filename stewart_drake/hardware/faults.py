@@ -185,7 +185,7 @@ class ImuFault(Fault, key="sensors.imu.faults"):
     channel: Annotated[Text, IMU_CHANNELS] | None = None
     """Channels that fail, such as gyro_z, or gyro for three; null for all six."""
     size: Real | None = None
-    """[rad/s, m/s^2] size of a jump, or of a drift in a second."""
+    """Size of a jump, or of a drift in a second: in rad/s for gyroscopes, in m/s^2 for accelerometers."""
 
     @property
     def channels(self) -> slice:

@@ -6,7 +6,7 @@ import pytest
 from random_robots import random_robot
 from setups import setup_for
 
-from stewart_drake import Controller
+from stewart_drake import Controller, load_scenario, run
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.control.imu_model import imu_model
 from stewart_drake.control.inertial import BIAS, DISTANCE, PUSH, SPEED, measure_chain, predict_chain
@@ -42,6 +42,18 @@ def test_measurements_in_turn_are_those_of_one_least_squares_problem():
     np.testing.assert_allclose(
         correction, np.linalg.solve(information, by.T @ (errors / np.array(variances))), atol=1e-10
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plant", ["closed_form", "mujoco", "drake"])
+def test_on_a_deck_whose_motion_is_measured_the_sensor_makes_rates_better(plant):
+    deck = {"plant": plant, "duration": 1.0, "base.motion.fade_in": 0.2, "safety": None, "estimator": "observer"}
+    deck, errors = load_scenario("rolling_deck").replace(deck), []
+    for imu in (None, {"position": [0.02, 0.01, 0.01]}):
+        log = run(deck.replace({"sensors": {"kind": "encoders", "resolution_bits": 12, "imu": imu}}))
+        off = (log["measured_pose_rate"] - log["pose_rate"])[len(log["time"]) // 2 :]
+        errors.append([np.linalg.norm(off[:, :3]), np.linalg.norm(off[:, 3:])])
+    assert (np.array(errors[1]) < 0.95 * np.array(errors[0])).all()
 
 
 @pytest.mark.parametrize(("age", "delay", "every", "expected"), [
