@@ -22,6 +22,7 @@ from stewart_drake.safety.limits import (
     first_least,
     observe,
 )
+from stewart_drake.safety.lost_encoder import NOT_READY
 from stewart_drake.safety.options import (
     COMMAND,
     CONTROLLER,
@@ -52,6 +53,7 @@ LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
 NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
 IMPLAUSIBLE = 10.0  # Times the torque limit: a larger command is an error of the controller.
 REFILL = 0.05  # Ticks of the budget of holding that a good tick gives back: a fault that flickers uses it up too.
+REPLACED_AFTER = 0.1  # [s] after which the residual no longer shows that a reading was replaced; assumed.
 _ROUNDING = 1e-9
 CONTINUE, BLIND, RUNAWAY, HOLD_OVER = range(4)  # How a tick ends; but for CONTINUE the run is over.
 
@@ -94,6 +96,9 @@ class SafetyState(Record):
     command: Vec6  # [N m] of the last tick in which it was finite.
     residual: ResidualState
     still: StillState
+    lost: Vec1  # Leg whose encoder is lost, while the robot goes on; else -1.
+    lost_by: float  # Monitor that named it.
+    rest_ticks: float  # Ticks at rest since then.
 
 
 NOT_THERE = {
@@ -170,7 +175,8 @@ def safety_tick(
         robot, friction, record(friction_unknown), params.residual, angles, read, torque, is_first, residual, legs
     )
     unexplained = is_unexplained(params.residual, residual)
-    state.unexplained_ticks = _counted(state.unexplained_ticks, unexplained)
+    is_moved = state.lost[0] >= 0.0 and state.stop_ticks * params.period < REPLACED_AFTER
+    state.unexplained_ticks = 0.0 if is_moved else _counted(state.unexplained_ticks, unexplained)
     cranks = angles.copy()
     if residual.encoders == 0.0:
         cranks_at(robot, read, legs, cranks)
@@ -180,7 +186,7 @@ def safety_tick(
     is_observed = is_measured and sensor[0] == 0.0
     if is_observed:
         _observe(robot, params, measurement, reference, legs, observed, state)
-    if state.safety.level >= RAMP:
+    if state.safety.level >= RAMP and state.lost[0] < 0.0:
         return _stop(params, is_observed, unexplained, angles, state)
     # No impact repeats readings to the last bit while the reference moves.
     blind = state.still.repeats >= LEAST_REPEATS
@@ -205,9 +211,9 @@ def safety_tick(
         else:
             monitor, leg = _pass_on(params, command, state)
     if monitor == NO_TRIP:
-        return CONTINUE, 0.0
-    level = _react(params, monitor, level, leg, cause, blind, unexplained, state)
-    if level == RAMP:
+        return _go_on(params, reference, state), 0.0
+    level = _react(params, monitor, level, leg, cause, blind, unexplained, parity, state)
+    if level == RAMP and not _loses_encoder(params, parity, state):
         return _stop(params, is_observed, unexplained, angles, state)
     _approach(params, state.good[:], state)
     return CONTINUE, 0.0
@@ -252,6 +258,7 @@ def _react(
     cause: int,
     blind: bool,
     unexplained: bool,
+    parity: Vec2,
     state: SafetyState,
 ) -> int:
     """Records a trip. Returns the level of the reaction: HOLD as long as the budget lasts, else RAMP."""
@@ -263,9 +270,7 @@ def _react(
         if blind:
             set_to(residual.suspect[:], READING_WRONG)
         else:
-            known = monitor == SENSOR
-            known = known or monitor == PARITY
-            suspect = mark_suspects(residual, leg if known else -1, unexplained)
+            suspect = mark_suspects(residual, leg if monitor == SENSOR and leg >= 0 else _whole(parity[1]), unexplained)
             leg = suspect if suspect >= 0 else leg
     state.safety.level, state.safety.monitor, state.safety.leg = level, monitor, leg
     state.worst = max(state.worst, float(level))
@@ -273,6 +278,35 @@ def _react(
     if first.monitor == 0.0:
         first.monitor, first.level, first.leg, first.tick, first.cause = monitor, level, leg, state.ticks - 1.0, cause
     return level
+
+
+@njit
+def _loses_encoder(params: SafetyParams, parity: Vec2, state: SafetyState) -> bool:
+    """Whether a fault is the first one, of one encoder alone, and the inertial sensor can replace this encoder."""
+    suspects, wrong = 0, -1
+    for i in range(6):
+        suspects += 1 if state.residual.suspect[i] != 0.0 else 0
+        wrong = i if state.residual.suspect[i] == READING_WRONG else wrong
+    is_replaced = parity[1] == wrong if parity[0] != 0.0 else parity[1] != NOT_READY
+    if params.goes_on > 0.0 and state.stop_ticks == 0.0 and suspects == 1 and wrong >= 0 and is_replaced:
+        state.lost[0], state.lost_by, state.stop_ticks = wrong, state.safety.monitor, 1.0
+        state.at_limit = state.too_fast = 0.0  # Its torques end.
+        return True
+    state.lost[0], state.stop_ticks = -1.0, 0.0
+    return False
+
+
+@njit
+def _go_on(params: SafetyParams, reference: Vec18, state: SafetyState) -> int:
+    """A good tick: nothing more, or with a lost encoder the level, by the reference; HOLD_OVER after the hold."""
+    if state.lost[0] < 0.0:
+        return CONTINUE
+    state.stop_ticks += 1.0
+    state.rest_ticks = 0.0 if any_nonzero(reference[6:]) else state.rest_ticks + 1.0
+    state.safety.level = SAFE_HOLD if state.rest_ticks > 0.0 else RAMP
+    state.safety.monitor, state.safety.leg = state.lost_by, state.lost[0]
+    state.worst = max(state.worst, state.safety.level)
+    return HOLD_OVER if state.rest_ticks * params.period > params.safe_hold_time + _ROUNDING else CONTINUE
 
 
 @njit

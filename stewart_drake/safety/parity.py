@@ -30,6 +30,8 @@ ALIGNMENT = 0.5  # [s] from the start in which biases are found; the robot's rea
 TILT_TIME, BIAS_TIME, TURN_TIME = 1.0, 20.0, 5.0
 """[s] in which gravity corrects the tilt and the gyroscopes' bias, and encoders the turn around gravity; assumed."""
 TRUSTED_FORCE = 0.2  # Share of gravity by which the specific force may differ from the expected one.
+MOST_TILT = 0.02
+"""[rad] largest tilt with which gravity corrects. More of it is an acceleration, of a robot that a fault throws about."""
 CONFIRMED = 3.0  # Samples in a row beyond the bound, less those within it.
 ONE_LINE, OTHER_LINES = 0.35, 0.7
 """Share of the difference that is off a leg's line, below which the leg is named; and its largest share of that of the
@@ -238,8 +240,9 @@ def _turn(
     weight, largest = np.sqrt(dot(expected, expected)), np.sqrt(dot(params.gravity, params.gravity))
     if abs(np.sqrt(dot(measured, measured)) - weight) < TRUSTED_FORCE * largest:
         cross(measured, expected, tilt)
+        share = h / (TILT_TIME * max(weight**2, np.sqrt(dot(tilt, tilt)) / MOST_TILT))
         for k in range(3):
-            tilt[k] *= h / (TILT_TIME * weight**2)
+            tilt[k] *= share
         turn_by(tilt, rotation)
         turned_back(rotation, tilt, in_platform)
         for k in range(3):

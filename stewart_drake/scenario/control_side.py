@@ -5,7 +5,7 @@ Every kind of estimator, controller and tuner gives its parts, see `LoopContext`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from stewart_drake.control.friction_compensation import FrictionCompensation, st
 from stewart_drake.control.observer import SMALLEST_NOISE
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.safety import safety_part
-from stewart_drake.safety.parity import parity_part
+from stewart_drake.safety.lost_encoder import going_parts
 from stewart_drake.safety.stream import StreamReference
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.small_parts import COMMAND, net_torque_part
@@ -131,6 +131,7 @@ class _Wiring:
         if reading != "plant_pose":
             self.logged["reading" if context.reading == 6 else "pose_reading"] = reading
         self.command = "torque"
+        self.used: dict[str, str] = {}
 
     def add_reference(self, streams: bool) -> None:
         """The reference, as it is when a command acts."""
@@ -141,6 +142,7 @@ class _Wiring:
             self.parts.append(motion.part(ahead))
             self.sources = (Source("target", 6, lambda times: motion.targets(times + ahead)),)
         self.parts += levels
+        self.before_estimator = len(self.parts)
 
     def add_estimator(self) -> None:
         """From a reading to pose and rate, now and when a command will act."""
@@ -241,11 +243,29 @@ class _Wiring:
         elif self.observed:
             seen["pose_reading"] = self.reading
         seen |= {signal: signal for part in self.parts if (signal := part.signal("health")) != "health"}
-        if safety.parity is not None and context.imu is not None and context.reading == 6:
-            parity = parity_part(context, context.imu, safety.parity)
-            self.parts.append(parity.connected(reading=self.reading, reference=self.reference))
-            seen["parity"] = "parity"
-        return [safety_part(safety, context).connected(**seen).named(torque="safe_torque")]
+        layer = [safety_part(safety, context).connected(**seen).named(torque="safe_torque")]
+        period, preview = self.options.reading_period, self.options.preview
+        if parts := going_parts(safety, context, period, preview):
+            # The first part comes before all that reads, and its signals replace those that it gets.
+            first, last = parts
+            ahead = "reference_ahead" if preview > 0.0 else "reference"
+            used = {self.reading: "used_reading", "reference": "used_reference"}
+            self.used = used | {"reference_ahead": "used_reference_ahead"}
+            n = self.before_estimator
+            rest, layer, self.end = (self.replaced(made) for made in (self.parts[n:], layer, self.end))
+            first = first.connected(reading=self.reading, reference_ahead=ahead)
+            self.parts = [*self.parts[:n], first, *rest]
+            self.end.append(last.connected(measurement=self.measurement))
+            layer = [part.connected(parity="parity") for part in layer]
+        return layer
+
+    def replaced(self, parts: Iterable[Part]) -> list[Part]:
+        """The parts, with inputs of `used` in the place of the signals that these replace."""
+        sources = ({port: part.source(port) for port in part.inputs} for part in parts)
+        return [
+            part.connected(**{port: self.used[name] for port, name in of.items() if isinstance(name, str) and name in self.used})
+            for part, of in zip(parts, sources, strict=True)
+        ]
 
     def add_writers(self, layer: list[Part]) -> list[Part]:
         """What writes parameters of all these parts: a sensor of the base, and adaptive laws. The changed layer."""
@@ -255,7 +275,8 @@ class _Wiring:
         if (adaptation := self.options.adaptation) is None:
             return layer
         at = self.law_inputs | {"reading": self.reading, "command": self.command}
-        laws = [part.connected(**at)._replace(end_of_tick=True) for part in adaptation.parts(self.context)]
+        made = [part.connected(**at)._replace(end_of_tick=True) for part in adaptation.parts(self.context)]
+        laws = self.replaced(made)
         self.end += laws
         outputs = {output: part.signal(output) for part in laws for output in part.outputs}
         self.logged |= {name: outputs[name] for name in LEARNT_SIGNALS if name in outputs}
