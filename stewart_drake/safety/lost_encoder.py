@@ -42,7 +42,10 @@ HALT = 0.3  # [s] in which the reference comes to rest, and the replaced reading
 SPEED = 0.2  # [rad/s], and [1/s] in characteristic lengths: largest rate on the way home; assumed.
 SILENT = 5.0  # Periods of the inertial sensor without a sample after which it has failed.
 LEAST_LINE = 0.1  # [-] turn of the platform per turn of a crank, below which an orientation does not tell the crank.
-SUSPECT = 0.25  # Share of the bound at which a difference names a leg to other monitors.
+SUSPECT, PATIENCE = 0.25, 1.5
+"""Share of the bound beyond which a growth of the difference names a leg; and up to which none need be named."""
+LATELY = 0.5  # [s] in which a difference grows.
+SLOWNESS = 0.4  # Largest product of the observer's bandwidth and the age of the sensor's orientation; assumed.
 FIRST_STEPS = 3  # Of Newton's method when an encoder is lost; one in a later tick.
 NOT_READY = -2.0
 """In `parity`, in the place of a leg: the inertial sensor cannot replace an encoder now."""
@@ -56,6 +59,7 @@ class GoingParams(Record):
     home: Vec6  # [rad, m] pose to which the robot is led; NaN where it is held.
     speed: float  # [m/s] on the way home.
     preview: float  # [s] by which `reference_ahead` is ahead of `reference`.
+    most_disturbance: float  # [rad/s^2 per sqrt(s)] that an observer may expect of a replaced reading.
 
 
 class GoingState(ParityState):
@@ -64,12 +68,14 @@ class GoingState(ParityState):
     used_reading: Vec6  # [rad] the reading, with the angle of a lost leg replaced.
     used_reference: Vec18  # The reference, or the way to rest.
     used_reference_ahead: Vec18
+    used_disturbance: Vec1  # [rad/s^2 per sqrt(s)] that an observer expects.
     lost: float  # 1 and the lost leg, 0 for none.
     angle: float  # [rad] of the lost crank.
     turned: float  # [rad] its change in the last tick.
     gap: float  # [rad] from this angle to the replaced reading at first.
     elapsed: float  # [s] since the encoder was lost.
     turns: Vec6  # [rad] first readings, from which angles are within half a turn.
+    slow: Vec3  # [rad] difference, low-passed.
     silent: float  # [s] since the last sample of the inertial sensor.
     rate: Vec3  # [rad/s] of that sample, in P, without bias.
     start: Vec18  # The reference from which the way to rest begins.
@@ -148,6 +154,7 @@ def go_on_tick(
     imu: Vec6,
     reference: Vec18,
     reference_ahead: Vec18,
+    disturbance: Vec1,
     lost_leg: Vec1,
     believed: Vec12,
     legs: Legs,
@@ -158,7 +165,7 @@ def go_on_tick(
     `imu` (6,) is NaN where there is no new sample; `lost_leg` and `believed` are those of `LossState`.
     """
     body, comparison, options, work, now = record(robot), record(params), record(going), record(legs), record(state)
-    angles, cranks, lines, is_first = reading.copy(), np.empty(6), np.empty((6, 3)), False
+    angles, cranks, is_first = reading.copy(), np.empty(6), False
     cranks_at(body, believed[:6], work, cranks)
     missing, leg = 0, -1
     for i in range(6):
@@ -177,6 +184,7 @@ def go_on_tick(
         # Its orientation goes on while the safety layer waits for the reading.
         for i in range(6):
             angles[i] = angles[i] if np.isfinite(angles[i]) else cranks[i]
+    now.used_disturbance[0] = disturbance[0] if leg < 0 else min(disturbance[0], options.most_disturbance)
     copy_to(now.used_reference[:], reference)
     copy_to(now.used_reference_ahead[:], reference_ahead)
     if leg >= 0:
@@ -184,8 +192,9 @@ def go_on_tick(
         if now.elapsed >= options.preview:
             way_to_rest(options, now.start[:], now.elapsed - options.preview, now.used_reference[:])
     parity_tick(robot, params, angles, imu, now.used_reference[:], legs, state)
+    is_sampled = all_finite(imu)
     now.silent += options.period
-    if all_finite(imu):
+    if is_sampled:
         turned(comparison.mounting[:], imu[:3], now.rate[:])
         for k in range(3):
             now.rate[k] -= now.rate_bias[k]
@@ -198,10 +207,26 @@ def go_on_tick(
     if not ready:
         # Not yet a replacement, or no longer.
         now.parity[0], now.parity[1] = max(now.parity[0], 1.0 if leg >= 0 else 0.0), NOT_READY
-    elif leg < 0 and now.parity[0] == 0.0 and encoder_lines(work, lines):
-        # What another monitor finds is explained by a smaller difference.
-        suspect = suspect_leg(lines, now.difference[:])[0]
-        now.parity[1] = suspect if dot(now.difference, now.difference) > (SUSPECT * comparison.bound) ** 2 else -1.0
+    elif leg < 0:
+        _name(comparison, is_sampled, work, now)
+
+
+@njit
+def _name(params: ParityParams, is_sampled: bool, legs: Legs, state: GoingState) -> None:
+    """Names the leg of a difference that has grown lately, where it is smaller than the bound or names none itself.
+
+    A slow error of the sensor's orientation is in the difference, but not in its growth. It explains what other
+    monitors find. A difference that names no leg is given the time to grow.
+    """
+    growth, lines = np.empty(3), np.empty((6, 3))
+    for k in range(3):
+        growth[k] = state.difference[k] - state.slow[k]
+        if is_sampled:
+            state.slow[k] += min(1.0, params.period / LATELY) * growth[k]
+    if state.parity[1] < 0.0 and dot(growth, growth) > (SUSPECT * params.bound) ** 2 and encoder_lines(legs, lines):
+        state.parity[1] = suspect_leg(lines, growth)[0]
+    if state.parity[1] < 0.0 and dot(state.difference, state.difference) < (PATIENCE * params.bound) ** 2:
+        state.parity[0] = 0.0
 
 
 @njit
@@ -261,13 +286,17 @@ def going_parts(options: SafetyOptions, context: LoopContext, period: float, pre
     robot, bound = context.robot, np.inf if options.parity is None else options.parity
     parity = parity_part(context.ticking(period), context.imu, bound)
     home, speed = robot.home_pose if wanted == "home" else np.nan, SPEED * robot.characteristic_length
-    going = GoingParams.new(period=period, home=home, speed=speed, preview=preview)
+    # The older the orientation, the slower the observer: its bandwidth grows with the cube root of this number.
+    every = context.imu.period or period
+    age = max(1e-6, context.imu.delay - context.reading_age + every - period)
+    slow = context.noise * np.sqrt(period) * (SLOWNESS / age) ** 3
+    going = GoingParams.new(period=period, home=home, speed=speed, preview=preview, most_disturbance=slow)
     given = {name: parity.initial[name] for name in parity.initial.dtype.names or ()}
     first = GoingState.new(**given, turns=np.nan)
     start = LossState.new(lost_leg=-1.0, believed=np.concatenate([context.pose, context.pose_rate]))
-    inputs = {"reading": 6, "imu": 6, "reference": 18, "reference_ahead": 18, "lost_leg": 1, "believed": 12}
-    outputs = "used_reading", "used_reference", "used_reference_ahead", "parity"
-    replacing = parity._replace(kernel=go_on_tick, inputs=inputs, outputs=outputs, initial=first, period=period)
+    inputs = {"reading": 6, "imu": 6, "reference": 18, "reference_ahead": 18, "disturbance": 1, "lost_leg": 1}
+    outputs = "used_reading", "used_reference", "used_reference_ahead", "used_disturbance", "parity"
+    replacing = parity._replace(kernel=go_on_tick, inputs=inputs | {"believed": 12}, outputs=outputs, initial=first, period=period)
     loss = Part("loss", remember, {}, {"lost": 1, "measurement": 12}, ("lost_leg", "believed"), start, period=period)
     numbers = {**parity.parameters, "going": going}
     return replacing._replace(parameters=numbers), loss._replace(end_of_tick=True)

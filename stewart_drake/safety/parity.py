@@ -60,6 +60,8 @@ class ParityState(Record):
     rotation: Mat3  # R_BP of the inertial sensor.
     rate_bias: Vec3  # [rad/s] of the gyroscopes, in P.
     force_bias: Vec3  # [m/s^2] of the accelerometers, in P.
+    true_rate: Vec3  # [rad/s] of the encoders in a sample of the alignment, in P.
+    true_force: Vec3  # [m/s^2] likewise.
     difference: Vec3  # [rad] rotation in B from the inertial sensor's orientation to the encoders'.
     count: float  # Samples beyond the bound, less those within it.
 
@@ -209,16 +211,25 @@ def _align(
     params: ParityParams, legs: Legs, before: Mat3, rates: Vec3, force: Vec3, expected: Vec3, state: ParityState
 ) -> None:
     """Finds both biases as means; the orientation is that of the encoders."""
-    turn, share = np.empty(3), 1.0 / state.samples
+    turn, share, late = np.empty(3), 1.0 / state.samples, params.later / params.period
     rotation_between(legs.rotation, before, turn)
-    for k in range(3):
-        copy_to(state.rotation[k], legs.rotation[k])
     true_rate, true_force = np.empty(3), np.empty(3)
     turned_back(legs.rotation, turn, true_rate)
     turned_back(legs.rotation, expected, true_force)
     for k in range(3):
-        state.rate_bias[k] += share * (rates[k] - true_rate[k] / params.period - state.rate_bias[k])
-        state.force_bias[k] += share * (force[k] - true_force[k] - state.force_bias[k])
+        true_rate[k] /= params.period
+        if state.samples == 1.0:
+            state.true_rate[k], state.true_force[k] = true_rate[k], true_force[k]
+        # What a sample of its age shows.
+        rate = true_rate[k] - late * (true_rate[k] - state.true_rate[k])
+        measurable = true_force[k] - late * (true_force[k] - state.true_force[k])
+        state.rate_bias[k] += share * (rates[k] - rate - state.rate_bias[k])
+        state.force_bias[k] += share * (force[k] - measurable - state.force_bias[k])
+        turn[k] *= -late
+        copy_to(state.rotation[k], legs.rotation[k])
+    copy_to(state.true_rate[:], true_rate)
+    copy_to(state.true_force[:], true_force)
+    turn_by(turn, state.rotation[:])
 
 
 @njit

@@ -253,7 +253,11 @@ class _Wiring:
             self.used = used | {"reference_ahead": "used_reference_ahead"}
             n = self.before_estimator
             rest, layer, self.end = (self.replaced(made) for made in (self.parts[n:], layer, self.end))
-            first = first.connected(reading=self.reading, reference_ahead=ahead)
+            expected: Signal = np.zeros(1)
+            for k, part in enumerate(rest):
+                if part.name in self.estimator and "disturbance" in part.inputs:
+                    expected, rest[k] = part.source("disturbance"), part.connected(disturbance="used_disturbance")
+            first = first.connected(reading=self.reading, reference_ahead=ahead, disturbance=expected)
             self.parts = [*self.parts[:n], first, *rest]
             self.end.append(last.connected(measurement=self.measurement))
             layer = [part.connected(parity="parity") for part in layer]
