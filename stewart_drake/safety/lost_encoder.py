@@ -1,8 +1,8 @@
 """Going on with five encoders and the inertial sensor on the platform, after one encoder is lost.
 
 Five encoders leave the platform one freedom: a turn along the line of the lost leg, see `parity.encoder_lines`. The
-inertial sensor's orientation gives it, so the angle of the lost crank is one unknown, found by a step of Newton's method
-in every tick. Between two samples of the sensor the last rates turn its orientation on.
+inertial sensor's orientation gives it, so the angle of the lost crank is one unknown, found by a step of Newton's
+method in every tick. Between two samples of the sensor the last rates turn its orientation on.
 
 The replaced reading begins at the angle that the estimator believed, and moves to the true one within `HALT`; in the
 same time the reference comes to rest. The estimator and the controller see no jump. While no encoder is lost, reading
@@ -44,7 +44,7 @@ SILENT = 5.0  # Periods of the inertial sensor without a sample after which it h
 LEAST_LINE = 0.1  # [-] turn of the platform per turn of a crank, below which an orientation does not tell the crank.
 SUSPECT, PATIENCE = 0.25, 1.5
 """Share of the bound beyond which a growth of the difference names a leg; and up to which none need be named."""
-LATELY = 0.5  # [s] in which a difference grows.
+LATELY = 0.1  # [s] in which a difference grows.
 SLOWNESS = 0.4  # Largest product of the observer's bandwidth and the age of the sensor's orientation; assumed.
 FIRST_STEPS = 3  # Of Newton's method when an encoder is lost; one in a later tick.
 NOT_READY = -2.0
@@ -213,9 +213,9 @@ def go_on_tick(
 
 @njit
 def _name(params: ParityParams, is_sampled: bool, legs: Legs, state: GoingState) -> None:
-    """Names the leg of a difference that has grown lately, where it is smaller than the bound or names none itself.
+    """Names the leg along whose line the difference has grown lately, also where it is smaller than the bound.
 
-    A slow error of the sensor's orientation is in the difference, but not in its growth. It explains what other
+    A slow error of the sensor's orientation is in the difference, but not in its growth. The leg explains what other
     monitors find. A difference that names no leg is given the time to grow.
     """
     growth, lines = np.empty(3), np.empty((6, 3))
@@ -223,8 +223,9 @@ def _name(params: ParityParams, is_sampled: bool, legs: Legs, state: GoingState)
         growth[k] = state.difference[k] - state.slow[k]
         if is_sampled:
             state.slow[k] += min(1.0, params.period / LATELY) * growth[k]
-    if state.parity[1] < 0.0 and dot(growth, growth) > (SUSPECT * params.bound) ** 2 and encoder_lines(legs, lines):
-        state.parity[1] = suspect_leg(lines, growth)[0]
+    if dot(growth, growth) > (SUSPECT * params.bound) ** 2 and encoder_lines(legs, lines):
+        leg = suspect_leg(lines, growth)[0]
+        state.parity[1] = leg if leg >= 0 else state.parity[1]
     if state.parity[1] < 0.0 and dot(state.difference, state.difference) < (PATIENCE * params.bound) ** 2:
         state.parity[0] = 0.0
 
@@ -241,8 +242,8 @@ def _replace(
     for k in range(3):
         step[k] *= after
     turn_by(step, rotation)
-    found = True
-    for _ in range(FIRST_STEPS if is_first else 1):
+    found, steps = True, FIRST_STEPS if is_first else 1
+    for _ in range(steps):
         found = found and lost_angle(robot, angles, leg, rotation, state.pose[:], legs, step)
     state.turned = angles[leg] - state.angle
     if is_first:
@@ -269,7 +270,9 @@ def reaction(options: SafetyOptions, context: LoopContext) -> Reaction:
     asked, possible = options.on_lost_encoder, context.imu is not None and context.reading == 6
     possible = possible and not context.motors.holds
     if asked in ("hold", "home") and not possible:
-        allowed = "stop or null, without encoders, an inertial sensor on the platform (sensors.imu) and torque motors"
+        allowed = (
+            "stop or null; the others need encoders, an inertial sensor (sensors.imu), and motors that take torque"
+        )
         raise ConfigurationError("safety.on_lost_encoder", asked, allowed)
     return asked or ("hold" if possible else "stop")
 
@@ -296,7 +299,9 @@ def going_parts(options: SafetyOptions, context: LoopContext, period: float, pre
     start = LossState.new(lost_leg=-1.0, believed=np.concatenate([context.pose, context.pose_rate]))
     inputs = {"reading": 6, "imu": 6, "reference": 18, "reference_ahead": 18, "disturbance": 1, "lost_leg": 1}
     outputs = "used_reading", "used_reference", "used_reference_ahead", "used_disturbance", "parity"
-    replacing = parity._replace(kernel=go_on_tick, inputs=inputs | {"believed": 12}, outputs=outputs, initial=first, period=period)
+    replacing = parity._replace(
+        kernel=go_on_tick, inputs=inputs | {"believed": 12}, outputs=outputs, initial=first, period=period
+    )
     loss = Part("loss", remember, {}, {"lost": 1, "measurement": 12}, ("lost_leg", "believed"), start, period=period)
     numbers = {**parity.parameters, "going": going}
     return replacing._replace(parameters=numbers), loss._replace(end_of_tick=True)

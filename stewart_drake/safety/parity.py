@@ -31,7 +31,7 @@ TILT_TIME, BIAS_TIME, TURN_TIME = 1.0, 20.0, 5.0
 """[s] in which gravity corrects the tilt and the gyroscopes' bias, and encoders the turn around gravity; assumed."""
 TRUSTED_FORCE = 0.2  # Share of gravity by which the specific force may differ from the expected one.
 MOST_TILT = 0.02
-"""[rad] largest tilt with which gravity corrects. More of it is an acceleration, of a robot that a fault throws about."""
+"""[rad] largest tilt with which gravity corrects. A larger one is an acceleration, as of a robot with a fault."""
 CONFIRMED = 3.0  # Samples in a row beyond the bound, less those within it.
 ONE_LINE, OTHER_LINES = 0.35, 0.7
 """Share of the difference that is off a leg's line, below which the leg is named; and its largest share of that of the

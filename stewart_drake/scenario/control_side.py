@@ -265,11 +265,12 @@ class _Wiring:
 
     def replaced(self, parts: Iterable[Part]) -> list[Part]:
         """The parts, with inputs of `used` in the place of the signals that these replace."""
-        sources = ({port: part.source(port) for port in part.inputs} for part in parts)
-        return [
-            part.connected(**{port: self.used[name] for port, name in of.items() if isinstance(name, str) and name in self.used})
-            for part, of in zip(parts, sources, strict=True)
+        used = self.used
+        inputs = [{port: part.source(port) for port in part.inputs} for part in parts]
+        named = [
+            {port: used.get(name, name) for port, name in ports.items() if isinstance(name, str)} for ports in inputs
         ]
+        return [part.connected(**ports) for part, ports in zip(parts, named, strict=True)]
 
     def add_writers(self, layer: list[Part]) -> list[Part]:
         """What writes parameters of all these parts: a sensor of the base, and adaptive laws. The changed layer."""
