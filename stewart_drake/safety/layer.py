@@ -22,6 +22,7 @@ from stewart_drake.safety.limits import (
     first_least,
     observe,
 )
+from stewart_drake.safety.lost_encoder import NOT_READY
 from stewart_drake.safety.options import (
     ANGLE_RATE,
     COMMAND,
@@ -55,6 +56,7 @@ NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
 MOTOR_TICKS = 1.0  # Ticks of a residual that a faulty motor explains, and no impact does.
 IMPLAUSIBLE = 10.0  # Times the torque limit: a larger command is an error of the controller.
 REFILL = 0.05  # Ticks of the budget of holding that a good tick gives back: a fault that flickers uses it up too.
+REPLACED_AFTER = 0.1  # [s] after which the residual no longer shows that a reading was replaced; assumed.
 _ROUNDING = 1e-9
 CONTINUE, BLIND, RUNAWAY, HOLD_OVER = range(4)  # How a tick ends; but for CONTINUE the run is over.
 
@@ -100,6 +102,9 @@ class SafetyState(Record):
     actuators: ActuatorState
     residual: ResidualState
     still: StillState
+    lost: Vec1  # Leg whose encoder is lost, while the robot goes on; else -1.
+    lost_by: float  # Monitor that named it.
+    rest_ticks: float  # Ticks at rest since then.
 
 
 NOT_THERE = {
@@ -196,15 +201,17 @@ def safety_tick(
         legs,
     )
     unexplained = is_unexplained(params.residual, residual)
-    state.unexplained_ticks = _counted(state.unexplained_ticks, unexplained)
-    state.motor_ticks = _counted(state.motor_ticks, unexplained and fits_motors(residual))
+    is_moved = state.lost[0] >= 0.0 and state.stop_ticks * params.period < REPLACED_AFTER
+    fits_motor = unexplained and fits_motors(residual)
+    state.unexplained_ticks = 0.0 if is_moved else _counted(state.unexplained_ticks, unexplained)
+    state.motor_ticks = 0.0 if is_moved else _counted(state.motor_ticks, fits_motor)
     still, standing = watch(robot, params.still, cranks, reference[:6], legs, state.still)
     state.ticks += 1.0
     is_measured = _is_finite(params, measurement)
     is_observed = is_measured and sensor[0] == 0.0
     if is_observed:
         _observe(robot, params, measurement, reference, legs, observed, state)
-    if state.safety.level >= RAMP:
+    if state.safety.level >= RAMP and state.lost[0] < 0.0:
         return _stop(gain, params, is_observed, unexplained, angles, state)
     # No impact repeats readings to the last bit while the reference moves.
     blind = state.still.repeats >= LEAST_REPEATS
@@ -229,9 +236,9 @@ def safety_tick(
         else:
             monitor, leg = _pass_on(gain, params, command, asked, cranks, state)
     if monitor == NO_TRIP:
-        return CONTINUE, 0.0
-    level = _react(params, monitor, level, leg, cause, blind, unexplained, state)
-    if level == RAMP:
+        return _go_on(params, reference, state), 0.0
+    level = _react(params, monitor, level, leg, cause, blind, unexplained, parity, state)
+    if level == RAMP and not _loses_encoder(params, parity, state):
         return _stop(gain, params, is_observed, unexplained, angles, state)
     _approach(gain, params, state.good[:], state)
     return CONTINUE, 0.0
@@ -276,6 +283,7 @@ def _react(
     cause: int,
     blind: bool,
     unexplained: bool,
+    parity: Vec2,
     state: SafetyState,
 ) -> int:
     """Records a trip. Returns the level of the reaction: HOLD as long as the budget lasts, else RAMP."""
@@ -287,9 +295,7 @@ def _react(
         if blind:
             set_to(residual.suspect[:], READING_WRONG)
         else:
-            known = monitor == SENSOR
-            known = known or monitor == PARITY
-            suspect = mark_suspects(residual, leg if known else -1, unexplained)
+            suspect = mark_suspects(residual, leg if monitor == SENSOR and leg >= 0 else _whole(parity[1]), unexplained)
             leg = suspect if suspect >= 0 else leg
     state.safety.level, state.safety.monitor, state.safety.leg = level, monitor, leg
     state.worst = max(state.worst, float(level))
@@ -306,6 +312,35 @@ def readings_of(angles: Vec6) -> int:
     for i in range(6):
         count += 1 if np.isfinite(angles[i]) else 0
     return count
+
+
+@njit
+def _loses_encoder(params: SafetyParams, parity: Vec2, state: SafetyState) -> bool:
+    """Whether a fault is the first one, of one encoder alone, and the inertial sensor can replace this encoder."""
+    suspects, wrong = 0, -1
+    for i in range(6):
+        suspects += 1 if state.residual.suspect[i] != 0.0 else 0
+        wrong = i if state.residual.suspect[i] == READING_WRONG else wrong
+    is_replaced = parity[1] == wrong if parity[0] != 0.0 else parity[1] != NOT_READY
+    if params.goes_on > 0.0 and state.stop_ticks == 0.0 and suspects == 1 and wrong >= 0 and is_replaced:
+        state.lost[0], state.lost_by, state.stop_ticks = wrong, state.safety.monitor, 1.0
+        state.at_limit = state.too_fast = 0.0  # Its torques end.
+        return True
+    state.lost[0], state.stop_ticks = -1.0, 0.0
+    return False
+
+
+@njit
+def _go_on(params: SafetyParams, reference: Vec18, state: SafetyState) -> int:
+    """A good tick: nothing more, or with a lost encoder the level, by the reference; HOLD_OVER after the hold."""
+    if state.lost[0] < 0.0:
+        return CONTINUE
+    state.stop_ticks += 1.0
+    state.rest_ticks = 0.0 if any_nonzero(reference[6:]) else state.rest_ticks + 1.0
+    state.safety.level = SAFE_HOLD if state.rest_ticks > 0.0 else RAMP
+    state.safety.monitor, state.safety.leg = state.lost_by, state.lost[0]
+    state.worst = max(state.worst, state.safety.level)
+    return HOLD_OVER if state.rest_ticks * params.period > params.safe_hold_time + _ROUNDING else CONTINUE
 
 
 @njit

@@ -82,6 +82,7 @@ class SafetyParams(Record):
     following_error: Vec2  # [rad, m]
     impact: float  # [ticks] for which an impact shows in the residual.
     budget: float  # Ticks that may be held.
+    goes_on: float  # 1 if the robot is held with one encoder lost, see `lost_encoder`.
     ramp_time: float  # [s]
     safe_hold_time: float  # [s]
     suspect_hold_time: float  # [s] of a stop with a suspect leg.
@@ -135,6 +136,7 @@ def safety_params(
         suspect_hold_time=min(SUSPECT_HOLD, options.ramp_time + options.safe_hold_time),
         stopping=max(STOPPING, STOPPING_TICKS * period),
         budget=options.budget(period),
+        goes_on=0.0,
         most_torque=(1.0 if share is None else share) * limits,
         most_speed=RUNAWAY * (FASTEST if options.crank_speed is None else options.crank_speed),
         still=still_params(period, options.standstill, options.frozen),

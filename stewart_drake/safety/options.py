@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import reprlib
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -65,6 +65,10 @@ class SafetyOptions(Section, key="safety"):
     """[rad] largest difference of the platform's orientation by the encoders and by an inertial sensor on it, where the
     model has one. A wrong encoder is named by the direction of the difference. A sensor that gives no new readings for
     0.2 s, or five of its periods, stops the robot too: without it the next wrong encoder would go unnoticed."""
+    on_lost_encoder: Literal["stop", "hold", "home"] | None = None
+    """Reaction to one encoder that is wrong. stop: as to any other fault. hold: the robot comes to rest, and is held on
+    five encoders and the inertial sensor on the platform; home: it is led home slowly as well. At rest it is held for
+    `safe_hold_time`; a second fault stops it. Null for hold where that is possible: with such a sensor and torques."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
     """[-] largest command as a fraction of the motors' limit; commands are cut there. They may be there or beyond for
     0.1 s in sum. An angle [rad] counts as the torque that it asks of the servo, and is not cut."""
@@ -92,7 +96,8 @@ class SafetyOptions(Section, key="safety"):
     ramp_time: Positive = 0.02
     """[s] time from the last good command to the safe hold; short, because that command may have been wrong."""
     safe_hold_time: Positive = 0.5
-    """[s] duration of a safe hold, after which the run ends; a stop with a suspect leg ends after 40 ms."""
+    """[s] duration of a safe hold, after which the run ends; a stop with a suspect leg ends after 40 ms, unless
+    `on_lost_encoder` goes on."""
     monitors: tuple[Annotated[Any, OWN_MONITORS], ...] = ()
     """Your monitors, classes by their import paths, see `UserMonitor`."""
 

@@ -118,6 +118,7 @@ class ParityState(Record):
     tilt: Vec3  # [rad] mean turn in B from the inertial orientation to that by gravity.
     excess: float  # [m/s^2] size of what measured forces exceed those expected, low-passed.
     count: float  # Samples beyond a bound, less those within it.
+    result: float  # AGREES ... FAILED of the last tick.
     sample: Vec6  # The last one.
     repeats: float  # Times that it has been repeated.
     block: ForceBlock
@@ -372,6 +373,7 @@ def parity_tick(
         result = FAILED
     elif state.parity[0] != 0.0:
         return
+    state.result = result
     if result == AGREES or params.bound == np.inf:
         state.parity[0], state.parity[1] = 0.0, -1.0
     elif state.parity[0] == 0.0:

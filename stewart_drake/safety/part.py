@@ -29,6 +29,7 @@ from stewart_drake.safety.layer import (
     safety_tick,
 )
 from stewart_drake.safety.limits import SUSPECT_HOLD, Observed, SafetyParams, safety_params
+from stewart_drake.safety.lost_encoder import reaction
 from stewart_drake.safety.options import (
     INERTIAL_WRONG,
     MEANINGS,
@@ -48,6 +49,7 @@ def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
     """
     robot, period, torque = context.robot, context.period, context.initial_torque
     params = safety_params(robot, options, context.gravity, period, context.noise, context)
+    params["goes_on"] = reaction(options, context) != "stop"
     command = context.motors.initial_command(context)
     first = SafetyState.new(
         torque=command,
@@ -58,6 +60,7 @@ def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
         safety=SafetyStatus.new(level=NONE, monitor=NO_TRIP, leg=-1.0),
         actuators=ActuatorState.new(torque=torque, cranks=np.nan, sent=command),
         residual=ResidualState.new(angles=np.nan, poses=np.nan, sent_torques=torque),
+        lost=-1.0,
     )
     kernel: Any = safety_tick
     numbers = {"robot": robot_record(robot), "friction": context.friction.record(), "friction_unknown": Friction.new()}
@@ -67,7 +70,7 @@ def safety_part(options: SafetyOptions, context: LoopContext) -> Part:
     inputs = {"command": 6, "measurement": 12, "reference": 18}
     inputs |= {name: len(value) for name, value in NOT_THERE.items()}
     error = partial(_stopped, options, period)
-    part = Part("safety", kernel, constants, inputs, ("torque", "safety"), first, (Legs, Observed), error=error)
+    part = Part("safety", kernel, constants, inputs, ("torque", "safety", "lost"), first, (Legs, Observed), error=error)
     return part._replace(connections=NOT_THERE, parameters={**numbers, "gain": context.motors.gains, "params": params})
 
 
@@ -103,11 +106,13 @@ def _stopped(options: SafetyOptions, period: float, result: Any, arguments: Mapp
     (status, fastest), state = result, arguments["state"]
     names, status_now = options.monitor_names, state["safety"][0]
     name, leg = names[int(status_now["monitor"])], status_now["leg"]
-    longest = SUSPECT_HOLD if state["residual"]["suspect"].any() else np.inf
+    goes_on = state["lost"][0, 0] >= 0.0
+    longest = SUSPECT_HOLD if state["residual"]["suspect"].any() and not goes_on else np.inf
+    by = " on five encoders and the inertial sensor" if goes_on else ""
     what = {
         BLIND: "stopped: no measurement to hold the robot by",
         RUNAWAY: f"stopping, but a crank turns at {fastest:.3g} rad/s",
-        HOLD_OVER: f"stopped, and held for {min(longest, options.safe_hold_time):g} s",
+        HOLD_OVER: f"stopped, and held{by} for {min(longest, options.safe_hold_time):g} s",
     }[status]
     meaning = INERTIAL_WRONG if name == MONITORS[PARITY] and leg < 0.0 else MEANINGS.get(name)
     text = "; ".join(filter(None, (meaning, what)))

@@ -14,10 +14,10 @@ import numpy as np
 
 from stewart_drake.hardware.ball_sensor import ball_parts
 from stewart_drake.hardware.disturbances import total_wrench
+from stewart_drake.hardware.faults import faulty_sensor_part
 from stewart_drake.hardware.imu import imu_parts
 from stewart_drake.hardware.motors import delay_part
 from stewart_drake.hardware.moving_base import base_signal
-from stewart_drake.hardware.sensors import faulty_sensor_part
 from stewart_drake.loop.part import NOTHING, Part
 from stewart_drake.mechanics.kinematics import crank_rates, leg_geometry
 from stewart_drake.scenario.control_side import Source, context_of, control_side

@@ -5,7 +5,7 @@ Every kind of estimator, controller and tuner gives its parts, see `LoopContext`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,7 @@ from stewart_drake.control.friction_compensation import FrictionCompensation, st
 from stewart_drake.control.observer import SMALLEST_NOISE
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.safety import safety_part
-from stewart_drake.safety.parity import parity_part
+from stewart_drake.safety.lost_encoder import going_parts
 from stewart_drake.safety.stream import StreamReference
 from stewart_drake.scenario.control_options import ControlOptions
 from stewart_drake.scenario.small_parts import COMMAND, net_torque_part
@@ -135,6 +135,7 @@ class _Wiring:
         if reading != "plant_pose":
             self.logged["reading" if context.reading == 6 else "pose_reading"] = reading
         self.command = "torque"
+        self.used: dict[str, str] = {}
 
     def add_reference(self, streams: bool) -> None:
         """The reference, as it is when a command acts."""
@@ -147,6 +148,7 @@ class _Wiring:
         self.parts += levels
         if (ball := self.options.ball_control) is not None:
             self._add_ball(ball)
+        self.before_estimator = len(self.parts)
 
     def _add_ball(self, options: BallControlOptions) -> None:
         """What tilts the reference for a ball."""
@@ -256,12 +258,35 @@ class _Wiring:
         elif self.observed:
             seen["pose_reading"] = self.reading
         seen |= {signal: signal for part in self.parts if (signal := part.signal("health")) != "health"}
-        if safety.parity is not None and context.imu is not None and context.reading == 6:
-            parity = parity_part(context, context.imu, safety.parity)
-            self.parts.append(parity.connected(reading=self.reading, reference=self.reference))
-            seen["parity"] = "parity"
+        layer = [safety_part(safety, context).connected(**seen).named(torque="safe_torque")]
+        period, preview = self.options.reading_period, self.options.preview
+        if parts := going_parts(safety, context, period, preview):
+            # The first part comes before all that reads, and its signals replace those that it gets.
+            first, last = parts
+            ahead = "reference_ahead" if preview > 0.0 else "reference"
+            used = {self.reading: "used_reading", "reference": "used_reference"}
+            self.used = used | {"reference_ahead": "used_reference_ahead"}
+            n = self.before_estimator
+            rest, layer, self.end = (self.replaced(made) for made in (self.parts[n:], layer, self.end))
+            expected: Signal = np.zeros(1)
+            for k, part in enumerate(rest):
+                if part.name in self.estimator and "disturbance" in part.inputs:
+                    expected, rest[k] = part.source("disturbance"), part.connected(disturbance="used_disturbance")
+            first = first.connected(reading=self.reading, reference_ahead=ahead, disturbance=expected)
+            self.parts = [*self.parts[:n], first, *rest]
+            self.end.append(last.connected(measurement=self.measurement))
+            layer = [part.connected(parity="parity") for part in layer]
             self.logged["imu"] = "imu"
-        return [safety_part(safety, context).connected(**seen).named(torque="safe_torque")]
+        return layer
+
+    def replaced(self, parts: Iterable[Part]) -> list[Part]:
+        """The parts, with inputs of `used` in the place of the signals that these replace."""
+        used = self.used
+        inputs = [{port: part.source(port) for port in part.inputs} for part in parts]
+        named = [
+            {port: used.get(name, name) for port, name in ports.items() if isinstance(name, str)} for ports in inputs
+        ]
+        return [part.connected(**ports) for part, ports in zip(parts, named, strict=True)]
 
     def add_writers(self, layer: list[Part]) -> list[Part]:
         """What writes parameters of all these parts: a sensor of the base, and adaptive laws. The changed layer."""
@@ -271,7 +296,8 @@ class _Wiring:
         if (adaptation := self.options.adaptation) is None:
             return layer
         at = self.law_inputs | {"reading": self.reading, "command": self.command}
-        laws = [part.connected(**at)._replace(end_of_tick=True) for part in adaptation.parts(self.context)]
+        made = [part.connected(**at)._replace(end_of_tick=True) for part in adaptation.parts(self.context)]
+        laws = self.replaced(made)
         self.end += laws
         outputs = {output: part.signal(output) for part in laws for output in part.outputs}
         self.logged |= {name: outputs[name] for name in LEARNT_SIGNALS if name in outputs}
