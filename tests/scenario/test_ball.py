@@ -105,3 +105,17 @@ def test_tilts_that_the_robot_cannot_do_are_refused_before_the_run(key, value, l
     scenario = load_scenario("ball").replace({f"ball_control.{key}": value, "robot": "servo_hexapod"})
     with pytest.raises(ConfigurationError, match=rf"ball_control\.{key}: expected less, as the robot cannot .*{limit}"):
         check_scenario(scenario)
+
+
+def test_a_ball_can_be_added_to_a_running_loop():
+    scenario = load_scenario("ball")
+    bare = SteppedLoop(scenario.replace({"ball": None, "ball_control": None}))
+    bare.begin()
+    for _ in range(20):
+        bare.run_parts()
+        bare.move()
+    loop = SteppedLoop(scenario)
+    loop.take_over(bare)
+    np.testing.assert_array_equal(loop.measured[:24], bare.measured)
+    assert not loop.measured[24:].any(), "in the middle"
+    bare.take_over(loop)
