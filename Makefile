@@ -87,6 +87,8 @@ page_random_faults = $(SCRIPT)/random_faults.py
 # Five minutes.
 page_imu = $(SCRIPT)/imu_study.py
 # A minute.
+page_ball = $(SCRIPT)/ball_study.py
+# A minute.
 page_parity = $(SCRIPT)/parity_study.py
 # Two minutes.
 page_reach = $(SCRIPT)/reach_study.py
