@@ -86,7 +86,7 @@ page_monte_carlo = $(CLI) sweep monte_carlo --out runs/monte_carlo && $(SCRIPT)/
 page_random_faults = $(SCRIPT)/random_faults.py
 # Five minutes.
 page_imu = $(SCRIPT)/imu_study.py
-# A minute.
+# Two minutes.
 page_ball = $(SCRIPT)/ball_study.py
 # A minute.
 page_parity = $(SCRIPT)/parity_study.py
