@@ -120,7 +120,7 @@ def mechanics():
         own |= {"inverse_kinematics": angles, "pose_rate_to_twist": twist, "rotation_matrix": rotation}
         own |= {"task_inertia": inertia, "inverse_dynamics": torque}
         calls = (
-            (inverse_kinematics, robot, robot.home_pose, 1),
+            (inverse_kinematics, robot.replace(branch=1), robot.home_pose),
             (kinematics.forward_kinematics, robot, angles, robot.home_pose),
             (kinematics.rotation_angle, rotation),
             (kinematics.roll_pitch_yaw, rotation),

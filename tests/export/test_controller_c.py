@@ -157,9 +157,8 @@ def test_every_kernel_that_a_controller_reaches_is_printed():
     scenarios += [load_scenario(name).replace(changes) for name, changes in OTHERS.values()]
     for scenario in scenarios:
         side, age = control_side(scenario, True), np.zeros(1)
-        outside = {"time": 1, side.reading: side.context.reading, **{x.signal: x.size for x in side.sources}}
         parts = controller_parts(scenario, side, age)
-        text = LoopSource(parts, outside, {}, side.context.period, scenario.reading_period, {"age": age}).text()
+        text = LoopSource(parts, {"time": 1, **side.outside}, {}, side.context.period, scenario.reading_period, {"age": age}).text()
         assert all(f"run_{part.name}(struct loop *loop)" in text for part in parts)
     for key, family in (("controller", CONTROLLERS), ("estimator", ESTIMATORS), ("tuner", TUNERS)):
         assert {getattr(scenario, key).kind for scenario in scenarios} == set(family.kinds)
