@@ -6,6 +6,7 @@ import logging
 
 import numpy as np
 
+from stewart_drake.live.ball import about_ball
 from stewart_drake.live.instrument import FORCE, largest
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.machine_session import MachineSession
@@ -32,7 +33,7 @@ def start_live(scenario: Scenario, port: int | None = None) -> tuple[LiveSession
 
     session = LiveSession(scenario)
     about = about_robot(scenario, session.loop.reference.home, ghost=True)
-    about |= {"session": session.name, "instrument": True}
+    about |= {"session": session.name, "instrument": True, "ball": about_ball(scenario)}
     return session, LiveServer(session, about, port)
 
 
@@ -41,7 +42,7 @@ def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> Pa
     robot = scenario.robot
     return {
         "name": scenario.name,
-        "scene": robot_scene(robot, ghost=ghost),
+        "scene": robot_scene(robot, ghost, scenario.ball, scenario.ball_control is not None),
         "home": home.tolist(),
         "room": _room(scenario, home).tolist(),
         "payload_most": max(float(f"{0.5 * robot.platform_mass:.1g}"), scenario.plant.payload_mass),
