@@ -67,6 +67,7 @@ class LiveLoop:
         self.spring: Spring | TurningSpring | None = None
         self.test: TestMotion | None = None
         self._pulled: Push | None = None
+        self._ticked: int | None = None  # The step of the latest tick of the controller.
         self._step = on_grid(scenario.plant.time_step)
         self.ball = None if scenario.ball is None else BallHand(scenario.ball, self._step)
         self.record = Recorder(self._step, self.ball)
@@ -120,6 +121,8 @@ class LiveLoop:
         if self.steps % self._governor_steps == 0:
             self.reference.govern(self.scenario, self.time)
         self._run_parts()
+        if self.steps % self._tick == 0:
+            self._ticked = self.steps
         if self.steps % self._tick == 0 and self.scenario.safety is None:
             runner = self._loop.runner
             self.stillness.look(runner.signal("reading" if "reading" in runner.places else "plant_pose"), self.wanted)
@@ -183,8 +186,12 @@ class LiveLoop:
 
     @property
     def wanted(self) -> np.ndarray:
-        """(6,) [rad, m] reference at the time of `pose`, turned against a moving base where the controller does."""
-        return self._in_base(self._wanted(self.steps))[:6]
+        """(6,) [rad, m] reference at the time of `pose`, turned or tilted where the controller does."""
+        if self.scenario.ball_control is None or self._ticked is None:
+            return self._in_base(self._wanted(self.steps))[:6]
+        # As the controller has tilted it at its latest tick.
+        since, tilted = (self.steps - self._ticked) * self._step, self._loop.runner.signal("reference")
+        return np.asarray(tilted[:6] + since * (tilted[6:12] + 0.5 * since * tilted[12:]))
 
     @property
     def torque(self) -> np.ndarray:

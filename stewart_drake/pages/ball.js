@@ -11,7 +11,7 @@ class BallHand {
     const [platform, body] = ["platform", "ball"].map((name) => view.links.find((link) => link.name === name));
     const canvas = view.renderer.domElement;
     Object.assign(this, { view, ball, platform });
-    const dot = new THREE.SphereGeometry(0.08 * ball.radius, 6, 4), material = new THREE.MeshBasicMaterial({ color: 0xd55e00 });
+    const dot = new THREE.SphereGeometry(0.12 * ball.radius, 6, 4), material = new THREE.MeshBasicMaterial({ color: 0xd55e00 });
     this.trail = Array.from({ length: TRAIL }, () => new THREE.Mesh(dot, material));
     for (const each of this.trail) {
       each.visible = false;
@@ -72,7 +72,7 @@ class BallHand {
     if (!this.trail || paused) return;
     if (!ball) return this.trail.forEach((dot) => { dot.visible = false; });
     const dot = this.trail.shift();
-    dot.position.set(...ball.place, this.ball.height);
+    dot.position.set(...ball.place, this.ball.height + 0.05 * this.ball.radius);
     dot.visible = true;
     this.trail.push(dot);
   }

@@ -16,7 +16,8 @@ from stewart_drake.robot import RobotParameters
 LENS = 36.0  # [deg] vertical field of view.
 REFERENCE_COLOUR = (0.0, 0.62, 0.45, 0.4)  # Red, green, blue, opacity of the disc at the reference pose.
 BALL_COLOUR, SPOT_COLOUR = (0.85, 0.24, 0.12, 1.0), (0.98, 0.95, 0.88, 1.0)  # Of a ball, and of its six spots.
-PLATE_COLOUR = (0.80, 0.84, 0.88, 0.55)
+TARGET_COLOUR = (0.0, 0.30, 0.65, 1.0)
+PLATE_COLOUR = (0.72, 0.77, 0.83, 1.0)
 GHOST_COLOUR = (0.0, 0.62, 0.45, 0.25)  # The same, of a second robot at the reference pose.
 
 
@@ -56,9 +57,13 @@ def robot_scene(
     }
     base = links.pop("base")
     if ball is not None:
-        links["platform"].append(_disc(ball.plate.radius, ball.plate.height - 0.001, 0.002, PLATE_COLOUR))
+        # The platform without its tool, and not above the plate.
+        bare, height = links["platform"][0], ball.plate.height
+        lowered = min(bare["at"][2], height - 0.003 - 0.5 * bare["size"][1])
+        links["platform"] = [bare | {"at": [*bare["at"][:2], lowered, *bare["at"][3:]]}]
+        links["platform"].append(_disc(ball.plate.radius, height - 0.0015, 0.003, PLATE_COLOUR))
         links["ball"] = _ball_shapes(ball.radius)
-        links["target of the ball"] = [_disc(0.6 * ball.radius, 0.0005, 0.001, REFERENCE_COLOUR)] if balanced else []
+        links["target of the ball"] = [_disc(0.6 * ball.radius, 0.0005, 0.001, TARGET_COLOUR)] if balanced else []
     second = {f"ghost of {name}": [shape | {"colour": GHOST_COLOUR} for shape in links[name]] for name in links}
     links["reference"] = [disc]
     links |= second if ghost else {}
@@ -109,7 +114,7 @@ def ball_links(
     return np.concatenate([positions, np.stack(turned, axis=-2)], axis=-1)
 
 
-def _shape(visual: ElementTree.Element) -> dict[str, object]:
+def _shape(visual: ElementTree.Element) -> Document:
     """Kind, size [m], pose in its link (x, y, z, roll, pitch, yaw) and colour of a visual of the SDF."""
     (shape,) = visual.iterfind("geometry/*")
     size = [number for dimension in shape for number in _numbers(dimension)]
