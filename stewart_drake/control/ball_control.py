@@ -144,7 +144,9 @@ class BallControlOptions(Section, key="ball_control"):
         )
         inputs = {"motion": 18, "motion_ahead": 18, "ball_reading": 2, "ball_target": 10}
         outputs = ("reference", "reference_ahead", "ball_estimate")
-        return Part("ball_control", ball_tick, {}, inputs, outputs, BallState.new(), parameters={"params": params})
+        # Where the base is tilted, gravity pulls from the beginning.
+        first = BallState.new(disturbance=ball.mass / ball.rolling_mass * gravity_vector(context.gravity)[:2])
+        return Part("ball_control", ball_tick, {}, inputs, outputs, first, parameters={"params": params})
 
     def extremes(self, motion: np.ndarray) -> dict[str, np.ndarray]:
         """Rows (m, 18) of a motion (n, 18), tilted as far, as fast and as hard as may be, by the key of the limit."""

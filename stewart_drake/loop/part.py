@@ -281,9 +281,10 @@ class LoopRunner:
             state[:] = part.initial
 
     def take_over(self, other: LoopRunner) -> None:
-        """Continues from another runner: copies the outside signals and the states of parts that both have."""
+        """Continues from another runner: copies outside signals and states of parts that both have in one size."""
         for name in self._outside & other._outside:
-            self.signal(name)[:] = other.signal(name)
+            if self.signal(name).size == other.signal(name).size:
+                self.signal(name)[:] = other.signal(name)
         states = {part.name: state for part, state in zip(other._parts, other._states, strict=True)}
         for part, state in zip(self._parts, self._states, strict=True):
             if part.name in states and states[part.name].dtype == state.dtype:

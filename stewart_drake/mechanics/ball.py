@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field, model_validator
 
-from stewart_drake.base.config import Flag, NotNegative, Period, Positive, Section, Seed, Share, Text
+from stewart_drake.base.config import Flag, NotNegative, Period, Positive, Real, Section, Seed, Share, Text
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.families import Table
 from stewart_drake.base.sampling import steps_per
@@ -80,9 +80,9 @@ class KnownBall(Section, key="model.ball"):
 
     preset: Annotated[Text, Table(dict(BALLS))] | None = None
     """A usual ball of 40 mm, which sets the defaults of the other keys: steel, table_tennis."""
-    mass: Annotated[Positive, Field(le=LARGEST_SIZE)] = 0.263
+    mass: Annotated[Real, Field(ge=1e-6, le=1e4)] = 0.263
     """[kg]"""
-    radius: Annotated[Positive, Field(le=LARGEST_SIZE)] = 0.02
+    radius: Annotated[Real, Field(ge=1e-3, le=10.0)] = 0.02
     """[m]"""
     hollow: Flag = False
     """Whether all of its mass is in its surface."""

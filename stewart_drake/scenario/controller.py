@@ -96,7 +96,8 @@ class Controller:
             age: [s] of the readings beyond that of the scenario; the safety layer's `deadline` refers to it.
             imu: (6,) rates [rad/s] and specific force [m/s^2] in the axes of `model.imu`; None, or NaN, where there is
                 no new reading. A controller whose estimator does not use it ignores it.
-            ball: (2,) [m] place of the ball on the plate, x and y in P, for `ball_control`; None or NaN likewise.
+            ball: (2,) [m] place of the ball on the plate, x and y in P, for `ball_control`; None or NaN likewise. It is
+                used at the controller's ticks.
 
         Raises:
             ConfigurationError: An argument of another shape, type or range; nothing has changed then.

@@ -390,11 +390,12 @@ class ReferenceSource(TimeSource):
 class TaskSpaceSensor(LeafSystem):
     """Pose and rate of P in B, and angles and rates of the cranks, exact.
 
+    For a robot with a ball there is another output, `ball` (5,): its motion on the plate, see `plant_options.BALL`.
+
     Ports:
         plant_state: in (nq + nv,), state of the MultibodyPlant.
         measurement: out (12,), pose [rad, m] then pose rate [rad/s, m/s] (Euler rates).
         crank_state: out (12,), angles of the cranks [rad] from the horizontal, not wrapped, then their rates [rad/s].
-        ball: out (5,), motion of the ball on the plate, see `plant_options.BALL`; only for a robot with a ball.
     """
 
     @checked

@@ -129,7 +129,7 @@ def test_a_circle_is_a_path_with_its_derivatives():
     ("changes", "message"),
     [
         ({"ball.start": [0.2, 0.0]}, r"ball\.start: expected a place on the plate"),
-        ({"ball.radius": 0.0}, r"ball\.radius: expected a positive number"),
+        ({"ball.radius": 0.0}, r"ball\.radius: expected a number \[m\] at least 0.001"),
         ({"ball.sensor.period": 0.015}, r"ball\.sensor\.period: expected a whole multiple of controller\.period"),
         ({"plant.kind": "mujoco"}, r"plant\.kind: expected closed_form or drake, for a ball"),
         ({"ball": None}, "ball_control: expected null, or a ball"),

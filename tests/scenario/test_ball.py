@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from stewart_drake import ConfigurationError, Controller, Scenario, load_scenario, run, run_metrics
+from stewart_drake.export.fmu import robot_unit
+from stewart_drake.machines.machine import open_machine
 from stewart_drake.runs.checks import check_scenario
 from stewart_drake.scenario.stepped_loop import SteppedLoop
 
@@ -37,6 +39,26 @@ def test_a_ball_over_the_rim_is_lost():
     assert (log.status, log.reason) == ("lost", "ball_fell")
     assert log.message == "the ball fell off the plate, whose rim is 0.12 m from its centre"
     assert log.outcome_time == pytest.approx(0.1 + 0.12 / 0.5, abs=0.02)
+
+
+def test_the_friction_that_a_ball_needs_on_a_slope():
+    """2/7 of the slope for a solid ball; too smooth a plate is a warning."""
+    slope = {"reference": {"kind": "hold", "pose": [0.05, 0, 0, 0, 0, 0.3]}, "duration": 0.3}
+    exact = {
+        "controller": {"model": "exact", "feedforward": "full"},
+        "ball": {"mass": 0.001, "resistance": 0.0, "friction": 0.01},
+    }
+    log = run(Scenario(**{**ROLLS, **slope, **exact}))
+    assert run_metrics(log)["ball_friction"] == pytest.approx(2.0 / 7.0 * np.tan(0.05), rel=0.1)
+    assert [warning["name"] for warning in log.warnings] == ["ball_slips"]
+
+
+def test_what_has_no_ball_says_so():
+    scenario = load_scenario("ball_hexapod")
+    with pytest.raises(ConfigurationError, match="ball_control: expected null, for a machine"):
+        open_machine("sim:", scenario)
+    with pytest.raises(ConfigurationError, match="ball: expected null, for the FMU of a robot"):
+        robot_unit(scenario, "ball")
 
 
 def test_a_throw_from_outside_in_a_running_loop():
@@ -83,3 +105,17 @@ def test_tilts_that_the_robot_cannot_do_are_refused_before_the_run(key, value, l
     scenario = load_scenario("ball").replace({f"ball_control.{key}": value, "robot": "servo_hexapod"})
     with pytest.raises(ConfigurationError, match=rf"ball_control\.{key}: expected less, as the robot cannot .*{limit}"):
         check_scenario(scenario)
+
+
+def test_a_ball_can_be_added_to_a_running_loop():
+    scenario = load_scenario("ball")
+    bare = SteppedLoop(scenario.replace({"ball": None, "ball_control": None}))
+    bare.begin()
+    for _ in range(20):
+        bare.run_parts()
+        bare.move()
+    loop = SteppedLoop(scenario)
+    loop.take_over(bare)
+    np.testing.assert_array_equal(loop.measured[:24], bare.measured)
+    assert not loop.measured[24:].any(), "in the middle"
+    bare.take_over(loop)
