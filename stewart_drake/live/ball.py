@@ -9,6 +9,7 @@ from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.control.ball_control import BallControlOptions
 from stewart_drake.mechanics.ball import BallOptions
 from stewart_drake.mechanics.kinematics import rotation_matrix
+from stewart_drake.robot.gravity import gravity_vector
 from stewart_drake.runs.scene import ball_links, rolled
 from stewart_drake.scenario.scenario import Scenario
 
@@ -86,7 +87,7 @@ class BallHand:
         links = ball_links(self._ball, pose, motion[:2], ball_target(scenario, time), self._turn)
         if self.fell is not None:
             since, (place, velocity) = time - self.fell, self._falling
-            links[0, :3] = place + since * velocity + 0.5 * since**2 * scenario.gravity_in_base
+            links[0, :3] = place + since * velocity + 0.5 * since**2 * gravity_vector(scenario.gravity_in_base)
         return links
 
 

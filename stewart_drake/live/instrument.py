@@ -268,7 +268,7 @@ class Push:
 
 
 class Recorder:
-    """Records the last `_RECORDED` s of reference, pose, torque and ball, pushes and changes; `step` [s] is the plant's."""
+    """Records the last `_RECORDED` s of motion, torque, ball, pushes and changes; `step` [s] is the plant's."""
 
     def __init__(self, step: float, ball: BallHand | None = None) -> None:
         self.every, self._ball = max(1, round(_RECORD_PERIOD / step)), ball

@@ -136,7 +136,7 @@ class LiveLoop:
         if self.steps % self.record.every == 0:
             measured = self._loop.measured
             ball = () if self.ball is None else (measured[BALL][:4],)
-            self.record.add(self.time, self.wanted, self._loop.pose, self._loop.torque, measured[ANGLES], *ball)
+            self.record.add(self.time, self._asked, self._loop.pose, self._loop.torque, measured[ANGLES], *ball)
 
     def _run_parts(self) -> None:
         try:
@@ -180,6 +180,11 @@ class LiveLoop:
         return self._loop.measured[ANGLES].copy()
 
     @property
+    def _asked(self) -> np.ndarray:
+        """(6,) as `wanted`, without a tilt for a ball, which a run of the record adds anew."""
+        return self._in_base(self._wanted(self.steps))[:6]
+
+    @property
     def ball_motion(self) -> np.ndarray:
         """(5,) of the ball, see `plant_options.BALL`; (0,) if there is none."""
         return self._loop.measured[BALL].copy()
@@ -188,7 +193,7 @@ class LiveLoop:
     def wanted(self) -> np.ndarray:
         """(6,) [rad, m] reference at the time of `pose`, turned or tilted where the controller does."""
         if self.scenario.ball_control is None or self._ticked is None:
-            return self._in_base(self._wanted(self.steps))[:6]
+            return self._asked
         # As the controller has tilted it at its latest tick.
         since, tilted = (self.steps - self._ticked) * self._step, self._loop.runner.signal("reference")
         return np.asarray(tilted[:6] + since * (tilted[6:12] + 0.5 * since * tilted[12:]))

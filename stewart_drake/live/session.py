@@ -135,7 +135,7 @@ class LiveSession(PageSession):
             "turn": self._turn,
             "release": self._release,
             "hold": self._hold_ball,
-            "let_go": lambda _: self._for_all(lambda loop: loop.ball and loop.ball.let_go()),
+            "let_go": lambda _: self._with_ball(lambda hand, _: hand.let_go()),
             "throw": self._throw,
             "ball_target": self._aim_ball,
             "payload": lambda command: self._change({"plant.payload_mass": _number(command["mass"])}),

@@ -221,14 +221,12 @@ class BallEnvironment(_Environment):
         interval: [s] between two actions.
     """
 
-    def __init__(
-        self, scenario: Scenario | str | Path = "ball", duration: float = 5.0, interval: float = 0.02
-    ) -> None:
+    def __init__(self, scenario: Scenario | str | Path = "ball", duration: float = 5.0, interval: float = 0.02) -> None:
         loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
         if loaded.ball is None:
             raise ConfigurationError("ball", None, "a section: the policy balances a ball")
         self.limits = loaded.ball_control or BallControlOptions()
-        still = {"reference": "hold", "ball_control": None, "ball.throws": [], "plant.kind": "closed_form"}
+        still: Info = {"reference": "hold", "ball_control": None, "ball.throws": [], "plant.kind": "closed_form"}
         self._scenario, self._plate = loaded.replace({**still, "duration": duration}), loaded.ball.plate.radius
         self.interval, self._home = interval, np.concatenate(loaded.reference.evaluate(0.0)[:1] + (np.zeros(12),))
         self._params = record(BallParams.new(self.limits, **dict.fromkeys(_UNUSED, 0.0), period=interval))
