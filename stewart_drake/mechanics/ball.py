@@ -143,7 +143,7 @@ class BallOptions(KnownBall, key="ball"):
 
     def record(self) -> Ball:
         """Numbers for `mechanics.rolling_ball`."""
-        return Ball.new(self, inertia=self.inertia, height=self.plate.height)
+        return Ball.new(self, inertia=self.inertia, height=self.plate.height, push=0.0)
 
     def force(self, velocity: np.ndarray | Pair, step: float) -> np.ndarray:
         """Force (..., 2) [N] that changes the velocity by so much [m/s] in a step [s] of the plant."""

@@ -22,6 +22,7 @@ from stewart_drake.mechanics.kinematics_laws import cross, dot
 
 SLOW = 1e-3  # [m/s] speed below which rolling resistance fades, so that a ball comes to rest without chatter. Assumed.
 BallTerms = Annotated[np.ndarray, (8, 7)]
+BallMotion = Vec5  # x, y [m], their rates [m/s], spin [rad/s].
 
 
 class Ball(Record):
@@ -32,10 +33,11 @@ class Ball(Record):
     inertia: float  # [kg m^2] about its centre.
     height: float  # [m] of the plate over P.
     resistance: float  # [-] coefficient of rolling resistance.
+    push: Vec2  # [N] external force on its centre, along the plate's x and y axes.
 
 
 @njit
-def ball_terms(ball: Ball, turn: Mat3, twist: Vec6, base: Vec9, motion: Vec5, push: Vec2, out: BallTerms) -> None:
+def ball_terms(ball: Ball, turn: Mat3, twist: Vec6, base: Vec9, motion: BallMotion, out: BallTerms) -> None:
     """What a ball adds to the platform's dynamics, after elimination of u'.
 
     Args:
@@ -44,7 +46,6 @@ def ball_terms(ball: Ball, turn: Mat3, twist: Vec6, base: Vec9, motion: Vec5, pu
         twist: [rad/s, m/s] of P in B.
         base: What an inertial unit on the base at rest reads, see `robot.gravity.base_reading`.
         motion: x, y [m], their rates [m/s], spin [rad/s].
-        push: [N] external force on the ball's centre, along the plate's x and y axes.
         out: Rows 0 to 5: inertia (6, 6), and as the last column the load (6,). Rows 6 and 7: u' as a linear function of
             the twist's rate, with the constant as the last column.
     """
@@ -72,7 +73,7 @@ def ball_terms(ball: Ball, turn: Mat3, twist: Vec6, base: Vec9, motion: Vec5, pu
     drag = ball.resistance * weight / np.sqrt(motion[2] ** 2 + motion[3] ** 2 + SLOW**2)
     for i in range(3):
         spin[i] = inertia * (spin[i] - along * normal[i])
-        centre[i] = ball.mass * (centre[i] + base[i]) - turn[i, 0] * push[0] - turn[i, 1] * push[1]
+        centre[i] = ball.mass * (centre[i] + base[i]) - turn[i, 0] * ball.push[0] - turn[i, 1] * ball.push[1]
     cross(place, centre, first)
     for i in range(3):
         out[i, 6], out[3 + i, 6] = first[i] + spin[i], centre[i]
@@ -106,7 +107,9 @@ def ball_terms(ball: Ball, turn: Mat3, twist: Vec6, base: Vec9, motion: Vec5, pu
 
 
 @njit
-def ball_rate(ball: Ball, turn: Mat3, twist: Vec6, twist_rate: Vec6, terms: BallTerms, motion: Vec5, out: Vec5) -> None:
+def ball_rate(
+    ball: Ball, turn: Mat3, twist: Vec6, twist_rate: Vec6, terms: BallTerms, motion: BallMotion, out: BallMotion
+) -> None:
     """Time derivative of a ball's motion, from `ball_terms` and the twist's rate [rad/s^2, m/s^2]."""
     slip = 0.0
     for number in range(2):

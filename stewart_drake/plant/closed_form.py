@@ -12,20 +12,7 @@ import numpy as np
 
 from stewart_drake.base.errors import SingularPoseError
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import (
-    Mat3,
-    Mat6,
-    Matrix,
-    Record,
-    TickResult,
-    Vec2,
-    Vec3,
-    Vec5,
-    Vec6,
-    Vec9,
-    Vec12,
-    record,
-)
+from stewart_drake.base.records import Mat3, Mat6, Matrix, Record, TickResult, Vec3, Vec6, Vec9, Vec12, record
 from stewart_drake.base.sampling import on_grid
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.ball import BallOptions
@@ -34,7 +21,7 @@ from stewart_drake.mechanics.friction import SWEEPS, Bristles, Friction, implici
 from stewart_drake.mechanics.kinematics import crank_rates, inverse_kinematics, leg_geometry, pose_rate_to_twist
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import any_nonzero, copy_to, solve
-from stewart_drake.mechanics.rolling_ball import Ball, BallTerms, ball_rate, ball_terms
+from stewart_drake.mechanics.rolling_ball import Ball, BallMotion, BallTerms, ball_rate, ball_terms
 from stewart_drake.plant.model_files import HomeFrames, home_frames
 from stewart_drake.plant.plant_options import BALL, MechanismOptions, foreign_state
 from stewart_drake.robot import Gravity, RobotParameters, base_reading
@@ -50,7 +37,7 @@ class ClosedFormState(Record):
     pose_rate: Vec6  # [rad/s, m/s] Euler rates and velocity.
     angles: Vec6  # [rad] of the cranks, not wrapped.
     crank_rate: Vec6  # [rad/s]
-    ball: Vec5  # [m, m/s, rad/s] place and velocity on the plate, spin; see `mechanics.rolling_ball`.
+    ball: BallMotion  # [m, m/s, rad/s] place and velocity on the plate, spin; see `mechanics.rolling_ball`.
     twist: Vec6  # [rad/s, m/s] in B.
     bristles: Bristles
 
@@ -61,7 +48,6 @@ class ClosedFormParams(Record):
     base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     step: float  # [s]
     ball: Ball
-    push: Vec2  # [N] on the ball, along the plate's axes.
 
 
 class ClosedFormOptions(MechanismOptions):
@@ -114,7 +100,7 @@ class ClosedForm:
         self._fixed[2]["base"] = base
 
     def push_ball(self, force: np.ndarray) -> None:
-        self._fixed[2]["push"] = force
+        self._fixed[2]["ball"]["push"] = force
 
     def save(self) -> ClosedFormState:
         return self._state.copy()
@@ -246,7 +232,7 @@ def _semi_implicit(
         return laws.SERIAL, bad, legs.reach_margin[bad]
     rolls, terms, rate = params.ball.mass > 0.0, np.empty((8, 7)), np.empty(5)
     if rolls:
-        ball_terms(params.ball, legs.rotation[:], state.twist[:], params.base[:], state.ball[:], params.push[:], terms)
+        ball_terms(params.ball, legs.rotation[:], state.twist[:], params.base[:], state.ball[:], terms)
     _accelerations(robot, legs, state.twist[:], params.base[:], rolls, terms, torque, wrench, jacobian, accelerations)
     for k in range(6):
         twist[k] = state.twist[k] + step * accelerations[k, 6]
@@ -337,7 +323,7 @@ def _rk4_step(
         if rolls:
             for k in range(5):
                 ball[k] = state.ball[k] + change[12 + k]
-            ball_terms(params.ball, legs.rotation[:], twist, params.base[:], ball, params.push[:], terms)
+            ball_terms(params.ball, legs.rotation[:], twist, params.base[:], ball, terms)
         if stage == 0:
             for k in range(3):
                 copy_to(start[k], legs.rotation[k])

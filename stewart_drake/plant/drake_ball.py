@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,7 +14,7 @@ from pydrake.multibody.plant import CoulombFriction, ExternallyAppliedSpatialFor
 from pydrake.multibody.tree import QuaternionFloatingJoint, SpatialInertia, UnitInertia
 from pydrake.systems.framework import Context, LeafSystem
 
-from stewart_drake.base.errors import ConfigurationError
+from stewart_drake.base.errors import ConfigurationError, drake_guard
 from stewart_drake.mechanics.ball import BallOptions
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.mechanics.rolling_ball import SLOW
@@ -35,10 +36,16 @@ class BallBody:
     """
 
     def __init__(self, robot: StewartRobot, options: BallOptions) -> None:
-        plant, self.options, self._base = robot.plant, options, robot.base.rotation().matrix()
+        self._plant, self.options, self._base = robot.plant, options, robot.base.rotation().matrix()
         self._gravity = gravity_vector(robot.gravity)
-        if not plant.geometry_source_is_registered():
+        if not robot.plant.geometry_source_is_registered():
             raise ConfigurationError("plant", "one without a SceneGraph", "one that is registered with one, for a ball")
+        with drake_guard("adding the ball"):
+            self._add(robot)
+
+    def _add(self, robot: StewartRobot) -> None:
+        """The bodies with their contact; the robot's plate is a part of its platform."""
+        plant, options = self._plant, self.options
         size, plate = options.radius, options.plate
         inertia = SpatialInertia(
             options.mass, np.zeros(3), UnitInertia.TriaxiallySymmetric(options.inertia / options.mass)
@@ -60,25 +67,28 @@ class BallBody:
             plant.RegisterCollisionGeometry(body, place, shape, f"{name}_collision", material)
             plant.RegisterVisualGeometry(body, place, shape, f"{name}_visual", colour)
 
-    def indices(self, positions: int) -> np.ndarray:
-        """(13,) indices of quaternion, place, angular and linear velocity, in B, in a state with so many positions."""
-        first, rate = self._joint.position_start(), positions + self._joint.velocity_start()
+    @cached_property
+    def indices(self) -> np.ndarray:
+        """(13,) indices of its quaternion, place, angular and linear velocity, in B, in a state of the plant."""
+        first, rate = self._joint.position_start(), self._plant.num_positions() + self._joint.velocity_start()
         return np.concatenate([first + np.arange(7), rate + np.arange(6)])
 
-    def at_start(self, pose: np.ndarray, twist: np.ndarray) -> np.ndarray:
-        """Its part (..., 13) of a state, where it starts and rolls, for poses and twists (..., 6) of the platform."""
-        turn, radius = rotation_matrix(pose[..., :3]), self.options.radius
+    def at_start(self, robot: StewartRobot, state: np.ndarray) -> np.ndarray:
+        """States (..., nq + nv) of the plant, with the ball put where it starts, and rolling."""
+        (pose, _), twist, radius = robot.pose_and_rate(state), state[..., robot.indices.twist], self.options.radius
+        turn = rotation_matrix(pose[..., :3])
         place = turn @ np.array([*self.options.start, self.options.plate.height + radius])
         slide, normal = turn @ np.array([*self.options.velocity, 0.0]), turn[..., 2]
         omega = twist[..., :3] - normal * np.sum(normal * twist[..., :3], axis=-1, keepdims=True)
         velocity = twist[..., 3:] + np.cross(twist[..., :3], place) + slide
         upright = np.broadcast_to([1.0, 0.0, 0.0, 0.0], (*pose.shape[:-1], 4))
-        return np.concatenate(
-            [upright, pose[..., 3:] + place, omega + np.cross(normal, slide) / radius, velocity], axis=-1
-        )
+        parts = upright, pose[..., 3:] + place, omega + np.cross(normal, slide) / radius, velocity
+        state[..., self.indices] = np.concatenate(parts, axis=-1)
+        return state
 
-    def measure(self, ball: np.ndarray, pose: np.ndarray, twist: np.ndarray) -> np.ndarray:
-        """x, y on the plate, their rates, spin (..., 5), from its part (..., 13) of states and the platform motion."""
+    def motion(self, robot: StewartRobot, state: np.ndarray) -> np.ndarray:
+        """x, y [m] on the plate, their rates, and spin (..., 5) in states, see `plant_options.BALL`."""
+        (pose, _), twist, ball = robot.pose_and_rate(state), state[..., robot.indices.twist], state[..., self.indices]
         turn, arm = rotation_matrix(pose[..., :3]), ball[..., 4:7] - pose[..., 3:]
         velocity = ball[..., 10:] - twist[..., 3:] - np.cross(twist[..., :3], arm)
         place, rate, spin = (
@@ -86,11 +96,11 @@ class BallBody:
         )
         return np.concatenate([place[..., :2], rate[..., :2], spin[..., 2:]], axis=-1)
 
-    def forces(self, motion: np.ndarray, pose: np.ndarray, push: np.ndarray) -> list[ExternallyAppliedSpatialForce]:
-        """A push (2,) [N] along the plate's axes, and rolling resistance, for a motion (5,) of `measure` at a pose."""
-        turn = rotation_matrix(pose[:3])
-        slide, weight = turn[:, :2] @ motion[2:4], max(0.0, -self.options.mass * self._gravity @ turn[:, 2])
-        drag = self.options.resistance * weight / np.hypot(np.linalg.norm(slide), SLOW)
+    def forces(self, robot: StewartRobot, state: np.ndarray, push: np.ndarray) -> list[ExternallyAppliedSpatialForce]:
+        """A push (2,) [N] along the plate's axes, and rolling resistance, in a state."""
+        turn = rotation_matrix(robot.pose_and_rate(state)[0][:3])
+        slide, weight = turn[:, :2] @ self.motion(robot, state)[2:4], -self.options.mass * self._gravity @ turn[:, 2]
+        drag = self.options.resistance * max(0.0, weight) / np.hypot(np.linalg.norm(slide), SLOW)
         couple = -drag * self.options.radius * np.cross(turn[:, 2], slide)
         result = []
         for body, moment, force in (
@@ -115,11 +125,13 @@ class BallForces(LeafSystem):
 
     def __init__(self, robot: StewartRobot) -> None:
         super().__init__()
-        self._robot = robot
+        assert robot.ball is not None
+        self._robot, self._ball = robot, robot.ball
         self.plant_state = self.DeclareVectorInputPort("plant_state", robot.size)
         self.ball_push = self.DeclareVectorInputPort("ball_push", 2)
         forces = Value[list[ExternallyAppliedSpatialForce]]
         self.spatial_force = self.DeclareAbstractOutputPort("spatial_force", lambda: forces(), self._calc)
 
     def _calc(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._robot.push_ball(self.plant_state.Eval(context), self.ball_push.Eval(context)))
+        state, push = self.plant_state.Eval(context), self.ball_push.Eval(context)
+        output.set_value(self._ball.forces(self._robot, state, push))

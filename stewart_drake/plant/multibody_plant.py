@@ -73,8 +73,7 @@ class StewartRobot(StateMap):
         options, gravity: Options of its joints, and gravity [m/s^2] in B when the robot was added: a number along -z,
             or a vector.
         base: X_WB, pose of its base in the world.
-        scene_graph: The SceneGraph that `add_plant` made, or None.
-        ball: The ball on it, or None.
+        scene_graph, ball: SceneGraph and ball that `add_plant` made, or None.
     """
 
     scene_graph: SceneGraph | None = None
@@ -124,37 +123,19 @@ class StewartRobot(StateMap):
         self._finished()
         return np.append(self.plant.GetDefaultPositions(), np.zeros(self.plant.num_velocities()))
 
-    @cached_property
+    @property
     def _mine(self) -> np.ndarray:
-        """Indices of the robot and its ball."""
-        mine = self.indices.all()
-        return mine if self.ball is None else np.append(mine, self._ball_index)
-
-    @cached_property
-    def _ball_index(self) -> np.ndarray:
-        return cast(BallBody, self.ball).indices(self.plant.num_positions())
+        return np.append(self.indices.all(), () if self.ball is None else self.ball.indices).astype(int)
 
     def assemble(self, pose: ArrayLike, pose_rate: ArrayLike | None = None) -> np.ndarray:
         """As `StateMap.assemble`; a ball is where it starts."""
         state = super().assemble(pose, pose_rate)
-        if self.ball is not None:
-            state[..., self._ball_index] = self.ball.at_start(np.asarray(pose, float), state[..., self.indices.twist])
-        return state
+        return state if self.ball is None else self.ball.at_start(self, state)
 
     def measure(self, state: np.ndarray) -> np.ndarray:
-        """As `StateMap.measure`, (..., 29) with a ball."""
+        """As `StateMap.measure`, (..., 29) with a ball, see `plant_options.BALL`."""
         measured = super().measure(state)
-        return measured if self.ball is None else np.append(measured, self.ball_motion(state), axis=-1)
-
-    def ball_motion(self, state: np.ndarray) -> np.ndarray:
-        """x, y [m] of the ball on the plate, their rates, and its spin (..., 5) of states, see `plant_options.BALL`."""
-        pose, twist = self.pose_and_rate(state)[0], state[..., self.indices.twist]
-        return cast(BallBody, self.ball).measure(state[..., self._ball_index], pose, twist)
-
-    def push_ball(self, state: np.ndarray, force: np.ndarray) -> list[ExternallyAppliedSpatialForce]:
-        """A force (2,) [N] on the ball along the plate's axes, and its rolling resistance, in a state."""
-        ball = cast(BallBody, self.ball)
-        return ball.forces(self.ball_motion(state), self.pose_and_rate(state)[0], force)
+        return measured if self.ball is None else np.append(measured, self.ball.motion(self, state), axis=-1)
 
     @property
     def torque_input_port(self) -> InputPort:
@@ -397,10 +378,7 @@ def add_plant(
             builder.AddSystem(plant)
         plant.mutable_gravity_field().set_gravity_vector(gravity_vector(gravity))
     added = add_robot(plant, robot, options)
-    added.scene_graph = scene_graph
-    if ball is not None:
-        with drake_guard("adding the ball"):
-            added.ball = BallBody(added, ball)
+    added.scene_graph, added.ball = scene_graph, None if ball is None else BallBody(added, ball)
     if before_finalize is not None:
         before_finalize(added)
     with drake_guard("building the plant"):

@@ -21,7 +21,7 @@ class SteppedPlant:
         self, robot: RobotParameters, options: DrakeOptions, gravity: Gravity, ball: BallOptions | None = None
     ) -> None:
         self._diagram, self._stewart = build_plant(robot, options, gravity, ball=ball)
-        self._ball_force: np.ndarray | None = None if ball is None else np.zeros(2)
+        self._ball_force = np.zeros(2)
         plant = self._stewart.plant
         self._force_port, self._period = plant.get_applied_spatial_force_input_port(), plant.time_step()
         self._begin()
@@ -35,7 +35,7 @@ class SteppedPlant:
     def step(self, torque: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         with drake_guard("a step of the plant"):
             self._torque.GetMutableData().get_mutable_value().SetFromVector(torque)
-            if self._ball_force is not None or (wrench != self._wrench).any():
+            if self._stewart.ball is not None or (wrench != self._wrench).any():
                 self._push(wrench)
             self._steps += 1
             self._simulator.AdvanceTo(self._steps * self._period)
@@ -77,9 +77,9 @@ class SteppedPlant:
 
     def _push(self, wrench: np.ndarray) -> None:
         self._wrench, forces = wrench.copy(), [self._stewart.push(wrench)]
-        if self._ball_force is not None:
+        if self._stewart.ball is not None:
             state = self._stewart.plant.GetPositionsAndVelocities(self._plant_context)
-            forces += self._stewart.push_ball(state, self._ball_force)
+            forces += self._stewart.ball.forces(self._stewart, state, self._ball_force)
         self._force_port.FixValue(self._plant_context, forces)
 
     def _measure(self) -> np.ndarray:

@@ -26,6 +26,7 @@ from stewart_drake.control.network import TunerNetwork, network_part, network_ti
 from stewart_drake.loop.part import BoundPart, Part
 from stewart_drake.plant.context_parameters import WithParameters
 from stewart_drake.plant.multibody_plant import StewartRobot
+from stewart_drake.plant.plant_options import BALL
 from stewart_drake.references import Reference
 from stewart_drake.robot import RobotParameters
 from stewart_drake.robot.gravity import Gravity, check_gravity
@@ -416,7 +417,7 @@ class TaskSpaceSensor(LeafSystem):
         output.SetFromVector(self._plant.crank_state(self.plant_state.Eval(context)))
 
     def _ball(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._plant.ball_motion(self.plant_state.Eval(context)))
+        output.SetFromVector(self._plant.measure(self.plant_state.Eval(context))[BALL])
 
 
 class PlatformWrench(LeafSystem):

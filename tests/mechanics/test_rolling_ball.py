@@ -18,7 +18,8 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 def rates(ball, turn, twist, twist_rate, motion, push=(0.0, 0.0)):
     """Rate of the ball's motion, and its terms."""
     terms, rate, numbers = np.empty((8, 7)), np.empty(5), ball.record()
-    ball_terms(numbers[0], turn, twist, base_reading(9.81), motion, np.array(push), terms)
+    numbers["push"] = push
+    ball_terms(numbers[0], turn, twist, base_reading(9.81), motion, terms)
     ball_rate(numbers[0], turn, twist, twist_rate, terms, motion, rate)
     return rate, terms
 
