@@ -62,16 +62,16 @@ class BallHand:
             self.thrown.append((time, velocity.tolist()))
 
     def put_back(self, time: float, pose: np.ndarray, rate: np.ndarray, motion: np.ndarray) -> None:
-        """Takes a ball that fell at a time [s], with a motion (5,), and holds it for `AWAY` where it started."""
+        """Takes a ball that fell at a time [s], with a motion (5,), and holds it for `AWAY` at its target."""
         turn, centre = rotation_matrix(pose[:3]), ball_links(self._ball, pose, motion[:2])[0, :3]
         self._falling = np.stack([centre, rate[3:] + turn[:, :2] @ motion[2:4]])
-        self.fell, self.held, self._throw = time, np.array(self._ball.start), np.zeros(2)
-        self._seen = self.held
+        self.fell, self._seen, self._throw = time, np.array(self._ball.start), np.zeros(2)
 
-    def force(self, time: float, motion: np.ndarray) -> np.ndarray:
+    def force(self, scenario: Scenario, time: float, motion: np.ndarray) -> np.ndarray:
         """Force (2,) [N] in the step of the plant that begins at a time [s]; to be called once for each step."""
-        if self.fell is not None and time >= self.fell + AWAY:
-            self.fell = self.held = None
+        if self.fell is not None:
+            back = time >= self.fell + AWAY
+            self.fell, self.held = (None, None) if back else (self.fell, ball_target(scenario, time))
         ball, pull = self._ball, np.zeros(2)
         if self.held is not None:
             pull = _BANDWIDTH**2 * (self.held - motion[:2]) - 2.0 * _BANDWIDTH * motion[2:4]

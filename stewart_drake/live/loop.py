@@ -258,7 +258,7 @@ class LiveLoop:
         if ahead > 0.0:
             sources["reference_ahead"] = lambda step: self._wanted(step, ahead)
         if (hand := self.ball) is not None:
-            sources["ball_push"] = lambda step: hand.force(step * self._step, self._loop.measured[BALL])
+            sources["ball_push"] = lambda step: hand.force(self.scenario, step * self._step, self._loop.measured[BALL])
         return SteppedLoop(scenario, plant, sources)
 
 
