@@ -249,7 +249,7 @@ class BallEnvironment(_Environment):
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, Info]:
         """Changes the rates of tilt, evenly within `interval`."""
         chosen = np.clip(np.asarray(action, float), -1.0, 1.0)
-        self._decided, self.tilt = self.episode.loop.now, self._after(self.interval if self.episode.loop.now else 0.0)
+        self._decided, self.tilt = self.episode.loop.now, self._after(self.interval)
         for axis in range(2):
             tilt, rate = self.tilt[:2, axis]
             wanted = (chosen[axis] * self.limits.max_rate - rate) / self.interval
@@ -276,8 +276,6 @@ class BallEnvironment(_Environment):
 
     def _observe(self) -> np.ndarray:
         ball, tilt = self.episode.loop.measured[BALL][:4] / self._plate, self._after(self.interval)
-        if self.episode.loop.now == 0:
-            tilt = self.tilt
         limits = tilt[0] / self.limits.max_tilt, tilt[1] / self.limits.max_rate
         shown = np.concatenate([ball, self.target / self._plate, *limits])
         return np.clip(shown, -20.0, 20.0).astype(np.float32)
