@@ -228,8 +228,12 @@ class BallEnvironment(_Environment):
         self.limits = loaded.ball_control or BallControlOptions()
         still: Info = {"reference": "hold", "ball_control": None, "ball.throws": [], "plant.kind": "closed_form"}
         self._scenario, self._plate = loaded.replace({**still, "duration": duration}), loaded.ball.plate.radius
-        self.interval, self._home = interval, np.concatenate(loaded.reference.evaluate(0.0)[:1] + (np.zeros(12),))
-        self._params = record(BallParams.new(self.limits, **dict.fromkeys(_UNUSED, 0.0), period=interval))
+        step = loaded.plant.time_step
+        self.interval, self._home = (
+            step * max(1, round(interval / step)),
+            np.concatenate(loaded.reference.evaluate(0.0)[:1] + (np.zeros(12),)),
+        )
+        self._params = record(BallParams.new(self.limits, **dict.fromkeys(_UNUSED, 0.0), period=self.interval))
         self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = spaces.Box(-20.0, 20.0, (10,), np.float32)
 
