@@ -12,8 +12,8 @@ QUESTIONS = re.findall(r"^(## \d+\. .*?)\n\n```python\n", PAGE, re.DOTALL | re.M
 ANSWERS = re.findall(r"^## (\d+)\. .*?```python\n(.*?)```", PAGE, re.DOTALL | re.MULTILINE)
 
 
-def test_there_are_twelve_exercises():
-    assert [number for number, _ in ANSWERS] == [str(number) for number in range(1, 13)]
+def test_there_are_thirteen_exercises():
+    assert [number for number, _ in ANSWERS] == [str(number) for number in range(1, 14)]
 
 
 def test_the_notebook_of_exercises_asks_what_the_page_asks():

@@ -221,7 +221,7 @@ def _roll(params: BallParams, place: float, velocity: float, force: float, tilt:
 
 
 @njit
-def _allowed(params: BallParams, tilt: float, rate: float) -> float:
+def largest_bend(params: BallParams, tilt: float, rate: float) -> float:
     """Largest acceleration of a tilt after which it can still stop at `max_tilt`."""
     h, a = params.period, params.max_acceleration
     room = params.max_tilt - tilt - 0.5 * h * rate
@@ -289,7 +289,7 @@ def ball_tick(
             bend -= params.gain[3] * (rate - ball_target[6 + axis] / params.tilt)
         else:
             bend = -params.gain[2] * at - params.gain[3] * rate
-        bend = max(min(bend, _allowed(params, at, rate)), -_allowed(params, -at, -rate))
+        bend = max(min(bend, largest_bend(params, at, rate)), -largest_bend(params, -at, -rate))
         tilts[0, 0, axis], tilts[0, 1, axis], tilts[0, 2, axis] = at, rate, bend
     if read:
         state.started = 1.0

@@ -18,6 +18,7 @@ from stewart_drake.base.config import Section
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.tables import COORDINATES, POSE, numbers_to_csv
 from stewart_drake.base.yaml_files import to_yaml
+from stewart_drake.live.ball import BallHand
 from stewart_drake.logs.log import SimulationLog
 from stewart_drake.logs.rows import Rows, row_layout
 from stewart_drake.logs.signals import DISPLAY_UNITS, SCALES
@@ -267,11 +268,12 @@ class Push:
 
 
 class Recorder:
-    """Records the last `_RECORDED` s of reference, pose and torque, pushes and changes; `step` [s] is the plant's."""
+    """Records the last `_RECORDED` s of motion, torque, ball, pushes and changes; `step` [s] is the plant's."""
 
-    def __init__(self, step: float) -> None:
-        self.every = max(1, round(_RECORD_PERIOD / step))
-        self.rows = Rows(row_layout(_COLUMNS), round(_RECORDED / (self.every * step)))
+    def __init__(self, step: float, ball: BallHand | None = None) -> None:
+        self.every, self._ball = max(1, round(_RECORD_PERIOD / step)), ball
+        columns = _COLUMNS if ball is None else {**_COLUMNS, "ball": (2,), "ball_velocity": (2,)}
+        self.rows = Rows(row_layout(columns), round(_RECORDED / (self.every * step)))
         self.pushes: list[Push] = []
         self.changes: list[tuple[float, Mapping[str, object]]] = []
 
@@ -306,6 +308,12 @@ class Recorder:
             for fault in switched:
                 fault["time"] = began.get(key, fault["time"])
         lines = ["# Recorded by hand. Keys have their values at the end:"]
+        if (ball := self._ball) is not None:
+            given = [(throw["time"], throw["velocity"]) for throw in data["ball"]["throws"]]
+            throws = [{"time": time - begin, "velocity": v} for time, v in given + ball.thrown if time >= begin]
+            start, velocity = (signals[name][0].tolist() for name in ("ball", "ball_velocity"))
+            data["ball"] |= {"start": start, "velocity": velocity, "throws": throws}
+            lines += ["# A hand held the ball, which this does not repeat."] if ball.touched else []
         lines += [f"# At {time - begin:.2f} s: {dict(change)}" for time, change in self.changes if time >= begin]
         files = {
             "log.csv": SimulationLog(changed, signals).to_csv(),

@@ -14,9 +14,11 @@ from stewart_drake.control.base_reading import levelled
 from stewart_drake.control.user_controller import failure_of
 from stewart_drake.hardware.disturbances import total_wrench
 from stewart_drake.hardware.moving_base import base_signal
+from stewart_drake.live.ball import BallHand
 from stewart_drake.live.instrument import Push, Recorder, Spring, TestMotion, TurningSpring
 from stewart_drake.live.steering import GOVERNOR_PERIOD, HandReference, Reached
-from stewart_drake.plant.plant_options import ANGLES
+from stewart_drake.mechanics.ball import BALL_FELL
+from stewart_drake.plant.plant_options import ANGLES, BALL, POSE, RATE
 from stewart_drake.safety import MONITORS, RAMP, Stillness
 from stewart_drake.safety.limits import LIMITS
 from stewart_drake.scenario.scenario import Scenario
@@ -48,6 +50,7 @@ class LiveLoop:
         cause: What ended it; None while it can go on.
         spring: Pulls or turns the platform; may be None.
         test: Motion that is added to the reference; may be None.
+        ball: The hand on the ball; None if there is none.
         record: Recorder of motion, pushes and changes.
         stillness: Monitor of standstill, for scenarios without a safety layer.
     """
@@ -64,8 +67,10 @@ class LiveLoop:
         self.spring: Spring | TurningSpring | None = None
         self.test: TestMotion | None = None
         self._pulled: Push | None = None
+        self._ticked: int | None = None  # The step of the latest tick of the controller.
         self._step = on_grid(scenario.plant.time_step)
-        self.record = Recorder(self._step)
+        self.ball = None if scenario.ball is None else BallHand(scenario.ball, self._step)
+        self.record = Recorder(self._step, self.ball)
         self._governor_steps = max(1, round(GOVERNOR_PERIOD / self._step))
         self._tick = max(1, round(scenario.controller.period / self._step))
         self.stillness = Stillness(scenario.controller_model.robot, self._tick * self._step)
@@ -115,7 +120,9 @@ class LiveLoop:
         self._record_pull()
         if self.steps % self._governor_steps == 0:
             self.reference.govern(self.scenario, self.time)
-        self._loop.run_parts()
+        self._run_parts()
+        if self.steps % self._tick == 0:
+            self._ticked = self.steps
         if self.steps % self._tick == 0 and self.scenario.safety is None:
             runner = self._loop.runner
             self.stillness.look(runner.signal("reading" if "reading" in runner.places else "plant_pose"), self.wanted)
@@ -127,7 +134,21 @@ class LiveLoop:
             rest = self._in_base(self.reference.at(self.time))
             self.test.watch(self.time, self._loop.pose, float(rest[self.test.axis]))
         if self.steps % self.record.every == 0:
-            self.record.add(self.time, self.wanted, self._loop.pose, self._loop.torque, self._loop.measured[ANGLES])
+            measured = self._loop.measured
+            ball = () if self.ball is None else (measured[BALL][:4],)
+            self.record.add(self.time, self._asked, self._loop.pose, self._loop.torque, measured[ANGLES], *ball)
+
+    def _run_parts(self) -> None:
+        try:
+            self._loop.run_parts()
+        except RunFailure as failure:
+            if self.ball is None or failure.reason != BALL_FELL:
+                raise
+            pose, rate, motion = (self._loop.measured[part].copy() for part in (POSE, RATE, BALL))
+            self.ball.put_back(self.time, pose, rate, motion)
+            # The plant goes on from the platform's motion, with the ball where it starts.
+            self._loop.measured[:] = self._loop.plant.initial(pose, rate)
+            self._loop.run_parts()
 
     def _give_up_test(self) -> None:
         if self.test is not None:
@@ -159,9 +180,23 @@ class LiveLoop:
         return self._loop.measured[ANGLES].copy()
 
     @property
-    def wanted(self) -> np.ndarray:
-        """(6,) [rad, m] reference at the time of `pose`, turned against a moving base where the controller does."""
+    def _asked(self) -> np.ndarray:
+        """(6,) as `wanted`, without a tilt for a ball, which a run of the record adds anew."""
         return self._in_base(self._wanted(self.steps))[:6]
+
+    @property
+    def ball_motion(self) -> np.ndarray:
+        """(5,) of the ball, see `plant_options.BALL`; (0,) if there is none."""
+        return self._loop.measured[BALL].copy()
+
+    @property
+    def wanted(self) -> np.ndarray:
+        """(6,) [rad, m] reference at the time of `pose`, turned or tilted where the controller does."""
+        if self.scenario.ball_control is None or self._ticked is None:
+            return self._asked
+        # As the controller has tilted it at its latest tick.
+        since, tilted = (self.steps - self._ticked) * self._step, self._loop.runner.signal("reference")
+        return np.asarray(tilted[:6] + since * (tilted[6:12] + 0.5 * since * tilted[12:]))
 
     @property
     def torque(self) -> np.ndarray:
@@ -222,9 +257,11 @@ class LiveLoop:
         sources = {"reference": self._wanted, "wrench": wrench}
         if ahead > 0.0:
             sources["reference_ahead"] = lambda step: self._wanted(step, ahead)
+        if (hand := self.ball) is not None:
+            sources["ball_push"] = lambda step: hand.force(self.scenario, step * self._step, self._loop.measured[BALL])
         return SteppedLoop(scenario, plant, sources)
 
 
 def _plant_keys(scenario: Scenario) -> tuple[object, ...]:
     """Keys on which the plant depends."""
-    return scenario.robot, scenario.plant, scenario.gravity_in_base
+    return scenario.robot, scenario.plant, scenario.gravity_in_base, scenario.ball

@@ -17,6 +17,7 @@ from stewart_drake.base.atomic_files import Document, plain_json
 from stewart_drake.base.errors import ConfigurationError, StewartDrakeError, one_line
 from stewart_drake.base.real_time import Pace
 from stewart_drake.base.tables import COORDINATES
+from stewart_drake.live.ball import AWAY, BallHand, ball_target
 from stewart_drake.live.instrument import (
     Spring,
     TestMotion,
@@ -133,6 +134,10 @@ class LiveSession(PageSession):
             "pull": self._pull,
             "turn": self._turn,
             "release": self._release,
+            "hold": self._hold_ball,
+            "let_go": lambda _: self._with_ball(lambda hand, _: hand.let_go()),
+            "throw": self._throw,
+            "ball_target": self._aim_ball,
             "payload": lambda command: self._change({"plant.payload_mass": _number(command["mass"])}),
             "dead": lambda command: self._change({"motors.dead": _leg_key(command["leg"])}),
             "freeze": self._freeze,
@@ -209,10 +214,44 @@ class LiveSession(PageSession):
         """What `_touch` has switched off, as long as it is."""
         begun, now = self._initial.safety, self.loop.scenario.safety
         off = begun is not None and now is not None and begun.unexplained_torque and now.unexplained_torque is None
-        return "a hand acts on it: safety.unexplained_torque is off until Reset" if off else ""
+        texts = ["a hand acts on it: safety.unexplained_torque is off until Reset"] if off else []
+        if self.loop.ball is not None and self.loop.ball.fell is not None:
+            texts.append(f"the ball fell off; it is put back after {AWAY:g} s")
+        return "; ".join(texts)
 
     def _release(self, _: Command) -> None:
         self._for_all(lambda loop: setattr(loop, "spring", None))
+
+    def _hold_ball(self, command: Command) -> None:
+        """Holds the ball to `place` (2,) [m] on the plate."""
+        place = _numbers(command["place"], 2)
+        self._with_ball(lambda hand, _: hand.hold(place))
+
+    def _throw(self, command: Command) -> None:
+        """Changes the ball's velocity by `velocity` (2,) [m/s]."""
+        velocity = _numbers(command["velocity"], 2)
+        self._with_ball(lambda hand, time: hand.throw(velocity, time))
+
+    def _with_ball(self, do: Callable[[BallHand, float], None]) -> None:
+        if self.loop.ball is None:
+            raise ConfigurationError("ball", None, "a section: this scenario has no ball")
+        self._touch()
+        for loop in filter(None, (self.loop, self.ghost)):
+            if loop.ball is not None:
+                do(loop.ball, loop.time)
+
+    def _aim_ball(self, command: Command) -> None:
+        """Sets the ball's target to `place` (2,) [m], or to that of the scenario if it is null."""
+        ball, control = self._initial.ball, self._initial.ball_control
+        if ball is None or control is None:
+            raise ConfigurationError("ball_control", None, "a section: nothing balances a ball here")
+        target = control.target.to_dict()
+        if command["place"] is not None:
+            place = _numbers(command["place"], 2)
+            if np.linalg.norm(place) > ball.plate.radius:
+                raise ConfigurationError("target", place.tolist(), f"a place on the plate, of {ball.plate.radius:g} m")
+            target |= {"center": place.tolist(), "radius": 0.0, "motion": None}
+        self._change({"ball_control.target": target})
 
     def _set_knob(self, command: Command) -> None:
         """Sets a slider. Gains and model of the ghost stay."""
@@ -297,7 +336,7 @@ class LiveSession(PageSession):
     def row(self) -> PageRow:
         """State for the browser: robot, loop, and all settings of the panel."""
         loop, scenario = self.loop, self.loop.scenario
-        robots = [(robot.pose, robot.crank_angles) for robot in (loop, self.ghost) if robot is not None]
+        robots = [(each.pose, each.crank_angles, _ball_links(each)) for each in (loop, self.ghost) if each is not None]
         pull = moment = None
         if isinstance(loop.spring, TurningSpring):
             moment = loop.spring.moment(loop.pose)
@@ -315,6 +354,7 @@ class LiveSession(PageSession):
             "time": loop.time,
             "factor": 0.0 if self.paused else self.factor,
             **drawn(scenario.robot, loop.wanted, *robots),
+            "ball": _ball_row(loop),
             "torque": loop.torque,
             "setting": loop.logged("setting"),
             "safety": None if safety is None else int(safety[0]),
@@ -329,7 +369,7 @@ class LiveSession(PageSession):
             "paused": self.paused,
             "speed": self.speed,
             "ghost": self._ghost_name,
-            "beside": None if (pale := self.ghost) is None else _errors(pale.pose, pale.wanted) | {"ended": pale.ended},
+            "beside": None if (pale := self.ghost) is None else _beside(pale),
             "pull": pull,
             "moment": moment,
             "test": test,
@@ -350,9 +390,32 @@ def _most_of_test(loop: LiveLoop, axis: int, step: bool) -> dict[str, float]:
     return most
 
 
-def drawn(robot: RobotParameters, wanted: np.ndarray, *robots: tuple[np.ndarray, np.ndarray]) -> PageRow:
-    """Pose, errors and links of a robot by pose (6,) and crank angles (6,), and links of a second one."""
-    links = [link_poses(robot, *state, wanted) if np.isfinite(state).all() else np.empty((0, 7)) for state in robots]
+def _ball_row(loop: LiveLoop) -> PageRow | None:
+    """Place and target of the ball on the plate, and its distance from there; None without a ball or while it falls."""
+    if loop.ball is None or loop.ball.fell is not None:
+        return None
+    place, target = loop.ball_motion[:2], ball_target(loop.scenario, loop.time)
+    return {"place": place, "target": target, "away_m": np.linalg.norm(place - target)}
+
+
+def _beside(pale: LiveLoop) -> PageRow:
+    away = None if (ball := _ball_row(pale)) is None else ball["away_m"]
+    return {**_errors(pale.pose, pale.wanted), "ended": pale.ended, "away_m": away}
+
+
+def _ball_links(loop: LiveLoop) -> np.ndarray:
+    """(2, 7), see `BallHand.drawn`; (0, 7) without a ball."""
+    if loop.ball is None:
+        return np.empty((0, 7))
+    return loop.ball.drawn(loop.scenario, loop.time, loop.pose, loop.ball_motion)
+
+
+def drawn(robot: RobotParameters, wanted: np.ndarray, *robots: tuple[np.ndarray, ...]) -> PageRow:
+    """Pose, errors and links of a robot by pose (6,), crank angles (6,) and links of a ball, and links of a second."""
+    links = []
+    for pose, angles, *balls in robots:
+        of_robot = link_poses(robot, pose, angles, wanted) if np.isfinite([pose, angles]).all() else np.empty((0, 7))
+        links.append(np.concatenate([of_robot[:-1], *balls, of_robot[-1:]]) if len(of_robot) else of_robot)
     # The disc of the reference is drawn once.
     flat = np.concatenate([links[0], *(link[:-1] for link in links[1:])]).round(6).ravel() if len(links[0]) else None
     return {"pose": robots[0][0], **_errors(robots[0][0], wanted), "links": flat}

@@ -6,6 +6,7 @@ import logging
 
 import numpy as np
 
+from stewart_drake.live.ball import about_ball
 from stewart_drake.live.instrument import FORCE, largest
 from stewart_drake.live.loop import LiveLoop
 from stewart_drake.live.machine_session import MachineSession
@@ -13,6 +14,7 @@ from stewart_drake.live.server import LiveServer
 from stewart_drake.live.session import CONTROLLERS, LiveSession, PageRow
 from stewart_drake.live.steering import REACH, nearest_allowed
 from stewart_drake.machines.machine import Machine
+from stewart_drake.mechanics.ball import BallOptions
 from stewart_drake.runs.drive import Start
 from stewart_drake.runs.scene import robot_scene
 from stewart_drake.scenario.scenario import Scenario
@@ -31,17 +33,17 @@ def start_live(scenario: Scenario, port: int | None = None) -> tuple[LiveSession
     log.setLevel(level)
 
     session = LiveSession(scenario)
-    about = about_robot(scenario, session.loop.reference.home, ghost=True)
-    about |= {"session": session.name, "instrument": True}
+    about = about_robot(scenario, session.loop.reference.home, ghost=True, ball=scenario.ball)
+    about |= {"session": session.name, "instrument": True, "ball": about_ball(scenario)}
     return session, LiveServer(session, about, port)
 
 
-def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False) -> PageRow:
-    """Description of a robot for the page; sliders begin at `home` (6,)."""
+def about_robot(scenario: Scenario, home: np.ndarray, ghost: bool = False, ball: BallOptions | None = None) -> PageRow:
+    """Description of a robot for the page, with a ball where its rows have one; sliders begin at `home` (6,)."""
     robot = scenario.robot
     return {
         "name": scenario.name,
-        "scene": robot_scene(robot, ghost=ghost),
+        "scene": robot_scene(robot, ghost, ball, scenario.ball_control is not None),
         "home": home.tolist(),
         "room": _room(scenario, home).tolist(),
         "payload_most": max(float(f"{0.5 * robot.platform_mass:.1g}"), scenario.plant.payload_mass),

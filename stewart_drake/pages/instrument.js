@@ -7,7 +7,7 @@ class Pull {
   /** `turns` of a pointer's event: whether it turns; `radius` [m] of the arrow of the moment. */
   constructor(view, platform, tell, turns, radius) {
     if (!view.renderer) return;
-    Object.assign(this, { view, platform, ray: new THREE.Raycaster(), plane: new THREE.Plane() });
+    Object.assign(this, { view, platform, plane: new THREE.Plane() });
     const canvas = view.renderer.domElement;
     this.material = new THREE.MeshBasicMaterial({ color: 0xd55e00 });
     this.rod = new THREE.Mesh(new THREE.CylinderGeometry(1, 1, 1, 12).rotateX(Math.PI / 2), this.material);
@@ -16,16 +16,10 @@ class Pull {
       shape.visible = false;
       view.world.add(shape);
     }
-    const aim = (event) => {
-      const { left, top, width, height } = canvas.getBoundingClientRect();
-      const at = new THREE.Vector2(2 * (event.clientX - left) / width - 1, 1 - 2 * (event.clientY - top) / height);
-      this.ray.setFromCamera(at, view.camera);
-    };
     // Before the camera's own, which would turn the view.
     canvas.addEventListener("pointerdown", (event) => {
       if (this.drag) return;
-      aim(event);
-      const [hit] = this.ray.intersectObject(platform, true);
+      const [hit] = view.ray(event).intersectObject(platform, true);
       if (!hit) return;
       event.stopImmediatePropagation();
       canvas.setPointerCapture(event.pointerId);
@@ -44,8 +38,7 @@ class Pull {
         const point = platform.worldToLocal(hit.point.clone()).toArray();
         this.plane.setFromNormalAndCoplanarPoint(view.camera.getWorldDirection(new THREE.Vector3()), hit.point);
         this.drag = (moved) => {
-          aim(moved);
-          const place = this.ray.ray.intersectPlane(this.plane, new THREE.Vector3());
+          const place = view.ray(moved).ray.intersectPlane(this.plane, new THREE.Vector3());
           if (place) tell({ do: "pull", point, place: place.toArray() });
         };
       }

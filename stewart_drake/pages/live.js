@@ -19,7 +19,7 @@ const waiting = []; // commands in their order
 /** Tells the session, one command after the other: of two requests at once the later may arrive first. */
 async function tell(command) {
   // Of what a drag tells, only the last place counts.
-  if (["aim", "pull", "turn", "speed"].includes(command.do) && waiting.at(-1)?.do === command.do) waiting.pop();
+  if (["aim", "pull", "turn", "hold", "speed"].includes(command.do) && waiting.at(-1)?.do === command.do) waiting.pop();
   waiting.push(command);
   if (sending) return;
   sending = true;
@@ -180,6 +180,8 @@ async function begin() {
   document.body.classList.toggle("steers", Boolean(about.machine));
   document.body.classList.toggle("instrument", Boolean(about.instrument));
   view = new RobotScene(at("robot"), about.scene);
+  document.body.classList.toggle("rolls", Boolean(about.ball));
+  const hand = about.ball ? new BallHand(view, about.ball, tell) : null;
   const pull = !about.instrument ? null : new Pull(view, view.links.find(({ name }) => name === "platform"), tell,
     ({ shiftKey, button }) => shiftKey || button === 2 || at("turns").checked, about.scene.links.reference[0].size[0]);
   at("on-base").hidden = !about.on_base;
@@ -280,6 +282,7 @@ async function begin() {
   new ResizeObserver(() => document.documentElement.style.setProperty("--top", `${at("top").offsetHeight + 10}px`)).observe(at("top"));
 
   traces = {
+    ...(about.ball && { ball: trace("ball off target", "m", ["ball"]) }),
     error: trace("position error", "m", ["position"]),
     angle: trace("rotation error", "deg", ["rotation"]),
     torque: trace("torque", "N m", ["leg 0", "1", "2", "3", "4", "5"]),
@@ -349,10 +352,14 @@ async function begin() {
     if (JSON.stringify(cause) !== JSON.stringify(caused)) showCause(caused = cause);
     if (last.links) {
       view.place(last.links);
-      if (last.ghost !== ghost) for (const each of [traces.error, traces.angle]) each.alone();
+      if (last.ghost !== ghost) for (const each of [traces.error, traces.angle, traces.ball]) each?.alone();
       ghost = last.ghost;
       traces.error.add(last.time, [last.position_m, last.beside?.position_m ?? null]);
       traces.angle.add(last.time, [last.rotation_deg, last.beside?.rotation_deg ?? null]);
+    }
+    if (hand) {
+      hand.show(last);
+      traces.ball.add(last.time, [last.ball?.away_m ?? null, last.beside?.away_m ?? null]);
     }
     // Servos tell no torque.
     traces.torque.box.hidden = !last.torque;

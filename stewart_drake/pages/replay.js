@@ -47,7 +47,9 @@ function trace(title, unit, names, tables) {
 }
 
 const names = runs.map((run) => run.name);
+const balls = runs.filter((run) => run.ball_m);
 const plots = [
+  ...(balls.length ? [trace("ball's distance from its target", "m", balls.map((run) => run.name), balls.map((run) => [run.time, run.ball_m]))] : []),
   trace("position error", "m", names, runs.map((run) => [run.time, run.position_m])),
   trace("rotation error", "deg", names, runs.map((run) => [run.time, run.rotation_deg])),
   ...runs.filter((run) => run.torque.length).map((run) => trace(runs.length > 1 ? `torque of ${run.name}` : "torque", "N m",

@@ -82,6 +82,14 @@ class RobotScene {
     this.label.style.top = `${Math.round((1 - to.y) / 2 * this.box.clientHeight - 12)}px`;
   }
 
+  /** A ray from the camera through a pointer's event. */
+  ray({ clientX, clientY }) {
+    const { left, top, width, height } = this.renderer.domElement.getBoundingClientRect();
+    const ray = new THREE.Raycaster();
+    ray.setFromCamera(new THREE.Vector2(2 * (clientX - left) / width - 1, 1 - 2 * (clientY - top) / height), this.camera);
+    return ray;
+  }
+
   fit(width, height) {
     if (!width || !height) return;
     this.camera.aspect = width / height;

@@ -17,7 +17,7 @@ from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.logs.log import SimulationLog, distinct_names
 from stewart_drake.mechanics.kinematics import inverse_kinematics, rotation_matrix
 from stewart_drake.plant.plant_options import DrakeOptions
-from stewart_drake.runs.scene import link_poses, on_base, robot_scene
+from stewart_drake.runs.scene import ball_links, link_poses, on_base, robot_scene
 
 FRAME_RATE = 30.0  # [1/s]
 MAX_FRAMES = 9000  # Longer runs get a lower frame rate, so that a page stays small: a frame takes 0.5 kB.
@@ -62,7 +62,15 @@ def _replay_data(log: SimulationLog, name: str) -> dict[str, object]:
     time = log.time[usable]
     rate = min(FRAME_RATE, (MAX_FRAMES - 1) / time[-1]) if time[-1] > 0.0 else FRAME_RATE
     frames, rows = nearest_rows(time, rate)
-    scene, links, base = robot_scene(log.scenario.robot), _link_poses(log, usable[rows]), log.scenario.base
+    links, base = _link_poses(log, usable[rows]), log.scenario.base
+    ball = log.scenario.ball if "ball" in log.signals else None
+    control = log.scenario.ball_control
+    scene, away = robot_scene(log.scenario.robot, ball=ball, balanced=control is not None), None
+    if ball is not None:
+        target = np.zeros((len(log.time), 2)) if control is None else control.target.evaluate(log.time)[:, :2]
+        shown, away = usable[rows], np.linalg.norm(log["ball"] - target, axis=1)
+        rolling = ball_links(ball, log["pose"][shown], log["ball"][shown], target[shown])
+        links = np.concatenate([links[:, :-1], rolling, links[:, -1:]], axis=1)
     if any(base.orientation) or base.motion is not None:
         motion = log["base_motion"][usable[rows], 9:] if "base_motion" in log.signals else np.zeros((len(rows), 3))
         scene, links = on_base(scene, links, rotation_matrix(np.array(base.orientation)) @ rotation_matrix(motion))
@@ -81,6 +89,7 @@ def _replay_data(log: SimulationLog, name: str) -> dict[str, object]:
         "time": _rounded(log.time[points]),
         "rotation_deg": _rounded(rotation[points]),
         "position_m": _rounded(1e-3 * position[points]),
+        "ball_m": None if away is None else _rounded(away[points]),
         "torque": [_rounded(column) for column in torque[points].T],
     }
 

@@ -8,12 +8,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from stewart_drake.base.atomic_files import Document
+from stewart_drake.mechanics.ball import BallOptions
 from stewart_drake.mechanics.kinematics import rotation_matrix
 from stewart_drake.plant.model_files import crank_rotations, on_platform, rod_rotations, sdf_text
 from stewart_drake.robot import RobotParameters
 
 LENS = 36.0  # [deg] vertical field of view.
 REFERENCE_COLOUR = (0.0, 0.62, 0.45, 0.4)  # Red, green, blue, opacity of the disc at the reference pose.
+BALL_COLOUR, SPOT_COLOUR = (0.85, 0.24, 0.12, 1.0), (0.98, 0.95, 0.88, 1.0)  # Of a ball, and of its six spots.
+TARGET_COLOUR = (0.0, 0.30, 0.65, 1.0)
+PLATE_COLOUR = (0.72, 0.77, 0.83, 1.0)
 GHOST_COLOUR = (0.0, 0.62, 0.45, 0.25)  # The same, of a second robot at the reference pose.
 
 
@@ -34,10 +38,13 @@ def reference_disc(robot: RobotParameters) -> tuple[float, float]:
     return 1.15 * robot.platform_radius, 0.4 * robot.link_radius
 
 
-def robot_scene(robot: RobotParameters, ghost: bool = False) -> dict[str, object]:
+def robot_scene(
+    robot: RobotParameters, ghost: bool = False, ball: BallOptions | None = None, balanced: bool = False
+) -> dict[str, object]:
     """Camera, fixed shapes, and shapes by link in the order of `link_poses`, as JSON values.
 
-    With a `ghost` there is a second, translucent set of cranks, rods and platform.
+    A ball and its target, if it is `balanced`, come before the reference disc, and its plate is a shape of the
+    platform. With a `ghost` there is a second, translucent set of all but the disc.
     """
     camera, target = viewpoint(robot)
     model = ElementTree.fromstring(sdf_text(robot, collision=False)).iter("link")
@@ -49,13 +56,65 @@ def robot_scene(robot: RobotParameters, ghost: bool = False) -> dict[str, object
         "colour": REFERENCE_COLOUR,
     }
     base = links.pop("base")
+    if ball is not None:
+        # The platform without its tool, and not above the plate.
+        bare, height = links["platform"][0], ball.plate.height
+        lowered = min(bare["at"][2], height - 0.003 - 0.5 * bare["size"][1])
+        links["platform"] = [bare | {"at": [*bare["at"][:2], lowered, *bare["at"][3:]]}]
+        links["platform"].append(_disc(ball.plate.radius, height - 0.0015, 0.003, PLATE_COLOUR))
+        links["ball"] = _ball_shapes(ball.radius)
+        links["target of the ball"] = [_disc(0.6 * ball.radius, 0.0005, 0.001, TARGET_COLOUR)] if balanced else []
     second = {f"ghost of {name}": [shape | {"colour": GHOST_COLOUR} for shape in links[name]] for name in links}
     links["reference"] = [disc]
     links |= second if ghost else {}
     return {"camera": camera.tolist(), "target": target.tolist(), "lens": LENS, "fixed": base, "links": links}
 
 
-def _shape(visual: ElementTree.Element) -> dict[str, object]:
+def _disc(radius: float, height: float, thickness: float, colour: tuple[float, ...]) -> dict[str, object]:
+    return {"kind": "cylinder", "size": (radius, thickness), "at": [0.0, 0.0, height, 0.0, 0.0, 0.0], "colour": colour}
+
+
+def _ball_shapes(radius: float) -> list[dict[str, object]]:
+    """A sphere with six spots, caps of smaller spheres, by which one sees that it rolls."""
+    spots = [0.26 * radius * sign * axis for axis in np.eye(3) for sign in (1.0, -1.0)]
+    spheres = [(radius, np.zeros(3), BALL_COLOUR), *((0.76 * radius, at, SPOT_COLOUR) for at in spots)]
+    return [{"kind": "sphere", "size": [r], "at": [*at, 0.0, 0.0, 0.0], "colour": c} for r, at, c in spheres]
+
+
+def rolled(way: np.ndarray, radius: float) -> Rotation:
+    """Turn in P of a ball that rolls by a way (2,) [m] on the plate."""
+    return Rotation.from_rotvec(np.array([-way[1], way[0], 0.0]) / radius)
+
+
+def ball_links(
+    ball: BallOptions,
+    pose: np.ndarray,
+    place: np.ndarray,
+    target: np.ndarray | None = None,
+    turn: Rotation | None = None,
+) -> np.ndarray:
+    """Position [m] and quaternion x, y, z, w (..., 2, 7) in B of a ball and its target, at places (..., 2) [m].
+
+    By default the target is the centre of the plate, and the ball has turned as it rolled along the places.
+    """
+    target = np.zeros_like(place) if target is None else target
+    if turn is None:
+        ways, turns = np.diff(place.reshape(-1, 2), axis=0, prepend=place.reshape(-1, 2)[:1]), [Rotation.identity()]
+        for way in ways[1:]:
+            turns.append(rolled(way, ball.radius) * turns[-1])
+        turn = Rotation.concatenate(turns)
+    platform, heights = rotation_matrix(pose[..., :3]), (ball.plate.height + ball.radius, ball.plate.height)
+    places = [
+        np.concatenate([at, np.full((*at.shape[:-1], 1), z)], axis=-1)
+        for at, z in zip((place, target), heights, strict=True)
+    ]
+    positions = pose[..., None, 3:] + np.einsum("...ij,...kj->...ki", platform, np.stack(places, axis=-2))
+    level = Rotation.from_matrix(platform.reshape(-1, 3, 3))
+    turned = [each.as_quat().reshape(*place.shape[:-1], 4) for each in (level * turn, level)]
+    return np.concatenate([positions, np.stack(turned, axis=-2)], axis=-1)
+
+
+def _shape(visual: ElementTree.Element) -> Document:
     """Kind, size [m], pose in its link (x, y, z, roll, pitch, yaw) and colour of a visual of the SDF."""
     (shape,) = visual.iterfind("geometry/*")
     size = [number for dimension in shape for number in _numbers(dimension)]

@@ -1,22 +1,25 @@
-"""Gymnasium environments on the fast engine: a policy gives the torques, or tunes the regulator. Extra `gym`.
+"""Gymnasium environments on the fast engine: a policy gives torques, tunes, or balances a ball. Extra `gym`.
 
-Importing this module registers `stewart_drake/Track-v0` and `stewart_drake/Tune-v0` for `gymnasium.make`.
+Importing this module registers `stewart_drake/Track-v0`, `Tune-v0` and `Ball-v0` for `gymnasium.make`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from stewart_drake.base.atomic_files import Document
-from stewart_drake.base.errors import RunFailure, installed_with
+from stewart_drake.base.errors import ConfigurationError, RunFailure, installed_with
+from stewart_drake.base.records import record
 from stewart_drake.base.sampling import times_of
+from stewart_drake.control.ball_control import BallControlOptions, BallParams, largest_bend
 from stewart_drake.control.base import Measurement, Setpoint
 from stewart_drake.control.features import FEATURES, CostScales, cost
 from stewart_drake.control.policy import Policy
 from stewart_drake.mechanics.dynamics import inverse_dynamics
-from stewart_drake.plant.plant_options import RATE
+from stewart_drake.plant.plant_options import BALL, RATE
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 from stewart_drake.scenario.stepped_loop import SteppedLoop
 from stewart_drake.training.policy_training import FunctionSource, tuned_by
@@ -31,8 +34,8 @@ with installed_with("stewart-drake[gym]"):
 class _Episode:
     """One run on the fast engine, from decision to decision."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        self.scenario, self.loop = scenario, SteppedLoop(scenario)
+    def __init__(self, scenario: Scenario, sources: Mapping[str, Callable[[int], np.ndarray]] | None = None) -> None:
+        self.scenario, self.loop = scenario, SteppedLoop(scenario, sources=sources)
         self._step = scenario.plant.time_step
         self.loop.begin()
         self.end = round(scenario.duration / self._step)
@@ -203,5 +206,86 @@ class TuneEnvironment(_Environment):
         return 1.0
 
 
-for _name in ("Track", "Tune"):
+class BallEnvironment(_Environment):
+    """The policy balances a ball on the platform by the rates of its tilt; the scenario's controller follows them.
+
+    Action: (2,) in [-1, 1], rates of the tilts that accelerate the ball along x and y of the plate, relative to
+    `ball_control.max_rate`; they are reached within `interval`, as far as the scenario's `ball_control` lets tilt, rate
+    and acceleration go. Observation: (10,) place, velocity in a second, target, relative to the plate's radius, tilt
+    and its rate relative to their limits, x and y each. Reward: 1 minus the distance from the target in radii, minus a
+    hundredth of the squared action. A ball that falls ends an episode. Place, velocity and target are drawn.
+
+    Args:
+        scenario: A scenario with a ball, its file or its name; its motion and throws are not used.
+        duration: [s] of an episode.
+        interval: [s] between two actions.
+    """
+
+    def __init__(self, scenario: Scenario | str | Path = "ball", duration: float = 5.0, interval: float = 0.02) -> None:
+        loaded = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+        if loaded.ball is None:
+            raise ConfigurationError("ball", None, "a section: the policy balances a ball")
+        self.limits = loaded.ball_control or BallControlOptions()
+        still: Info = {"reference": "hold", "ball_control": None, "ball.throws": [], "plant.kind": "closed_form"}
+        self._scenario, self._plate = loaded.replace({**still, "duration": duration}), loaded.ball.plate.radius
+        step = loaded.plant.time_step
+        self.interval, self._home = (
+            step * max(1, round(interval / step)),
+            np.concatenate(loaded.reference.evaluate(0.0)[:1] + (np.zeros(12),)),
+        )
+        self._params = record(BallParams.new(self.limits, **dict.fromkeys(_UNUSED, 0.0), period=self.interval))
+        self.action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.observation_space = spaces.Box(-20.0, 20.0, (10,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[np.ndarray, Info]:
+        """A ball elsewhere, which rolls, and another target."""
+        super().reset(seed=seed, options=options)
+        place, velocity, self.target = self.np_random.uniform(-0.35, 0.35, (3, 2)) * self._plate
+        start = {"ball.start": place.tolist(), "ball.velocity": velocity.tolist()}
+        self.tilt = np.zeros((3, 2))  # [rad, rad/s, rad/s^2] by axis, at the latest decision.
+        self._decided, preview = 0, self._scenario.preview
+        sources = {"reference": lambda step: self._tilted(step, 0.0)}
+        if preview > 0.0:
+            sources["reference_ahead"] = lambda step: self._tilted(step, preview)
+        self.episode = _Episode(self._scenario.replace(start), sources)
+        return self._observe(), {}
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, Info]:
+        """Changes the rates of tilt, evenly within `interval`."""
+        chosen = np.clip(np.asarray(action, float), -1.0, 1.0)
+        self._decided, self.tilt = self.episode.loop.now, self._after(self.interval)
+        for axis in range(2):
+            tilt, rate = self.tilt[:2, axis]
+            wanted = (chosen[axis] * self.limits.max_rate - rate) / self.interval
+            most, least = largest_bend(self._params, tilt, rate), -largest_bend(self._params, -tilt, -rate)
+            self.tilt[2, axis] = max(min(wanted, most), least)
+        _, failed, over, figures = self._decide()
+        away = float(np.linalg.norm(self.episode.loop.measured[BALL][:2] - self.target))
+        reward = 0.0 if failed else 1.0 - away / self._plate - 0.01 * float(chosen @ chosen)
+        return self._observe(), reward, failed, over, {**figures, "away_mm": 1e3 * away}
+
+    def _after(self, time: float) -> np.ndarray:
+        """`tilt` a time [s] after the latest decision; beyond `interval` it goes on at its rate."""
+        within = min(time, self.interval)
+        tilt, rate, bend = self.tilt
+        tilt, rate = tilt + within * (rate + 0.5 * within * bend), rate + within * bend
+        return np.stack([tilt + (time - within) * rate, rate, bend if time < self.interval else np.zeros(2)])
+
+    def _tilted(self, step: int, ahead: float) -> np.ndarray:
+        """The reference (18,): a tilt along x is a pitch, one along y a roll backwards."""
+        along, row = self._after((step - self._decided) * self._scenario.plant.time_step + ahead), self._home.copy()
+        row[1::6] += along[:, 0]
+        row[0::6] -= along[:, 1]
+        return row
+
+    def _observe(self) -> np.ndarray:
+        ball, tilt = self.episode.loop.measured[BALL][:4] / self._plate, self._after(self.interval)
+        limits = tilt[0] / self.limits.max_tilt, tilt[1] / self.limits.max_rate
+        shown = np.concatenate([ball, self.target / self._plate, *limits])
+        return np.clip(shown, -20.0, 20.0).astype(np.float32)
+
+
+_UNUSED = ("tilt", "drag", "bend", "gain", "observer", "age", "late", "ahead", "patience")
+
+for _name in ("Track", "Tune", "Ball"):
     gymnasium.register(f"stewart_drake/{_name}-v0", f"{__name__}:{_name}Environment")

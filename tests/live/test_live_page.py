@@ -274,20 +274,21 @@ def test_the_replay_plays_and_seeks(browser, tmp_path):
     page.close()
 
 
-def middle_of_platform(page):
+def middle_of(page, link):
     return page.evaluate(
-        """() => {
-          const at = view.links.find(({ name }) => name === "platform").getWorldPosition(new THREE.Vector3());
+        """(link) => {
+          const at = view.links.find(({ name }) => name === link).getWorldPosition(new THREE.Vector3());
           const { left, top, width, height } = view.renderer.domElement.getBoundingClientRect();
           const { x, y } = at.project(view.camera);
           return [left + (x + 1) / 2 * width, top + (1 - y) / 2 * height];
-        }"""
+        }""",
+        link,
     )
 
 
 def test_the_platform_is_pulled_where_the_mouse_grabs_it(page):
     page.click("#reset")
-    place = middle_of_platform(page)
+    place = middle_of(page, "platform")
     page.mouse.move(*place)
     page.mouse.down()
     page.mouse.move(place[0] + 60, place[1], steps=5)
@@ -296,6 +297,27 @@ def test_the_platform_is_pulled_where_the_mouse_grabs_it(page):
     page.mouse.up()
     wait(page, "last.pull === null")
     page.click("#reset")
+
+
+def test_a_ball_is_held_and_thrown_by_the_mouse_and_a_click_moves_its_target(browser):
+    session = Live("ball", "--set", "ball.throws=[]", "--set", "ball.start=[0, 0]")
+    page, errors = opened(browser, session.url)
+    x, y = middle_of(page, "platform")
+    page.mouse.click(x + 30, y + 8)
+    wait(page, "Math.hypot(...last.ball.target) > 0.02 && last.ball.away_m < 0.003")
+    x, y = middle_of(page, "ball")
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x - 80, y, steps=5)
+    wait(page, "last.ball.away_m > 0.03 && last.pull === null")
+    page.mouse.up()
+    wait(page, "view.controls.enabled && last.ball.away_m < 0.003")
+    page.evaluate("tell({ do: 'throw', velocity: [2, 0] }); undefined")
+    wait(page, "document.getElementById('message').textContent.includes('the ball fell off')")
+    wait(page, "last.ball && !last.ended")
+    page.close()
+    assert errors == []
+    assert session.end() == 0
 
 
 def test_commands_arrive_in_their_order_on_a_slow_line(page):
@@ -318,7 +340,7 @@ def test_commands_arrive_in_their_order_on_a_slow_line(page):
 @pytest.mark.parametrize("how", ["shift", "right button", "checkbox"])
 def test_the_platform_is_turned_by_the_mouse(page, how):
     page.click("#reset")
-    place, button = middle_of_platform(page), "right" if how == "right button" else "left"
+    place, button = middle_of(page, "platform"), "right" if how == "right button" else "left"
     page.set_checked("#turns", how == "checkbox")
     if how == "shift":
         page.keyboard.down("Shift")

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from stewart_drake import ConfigurationError
 from stewart_drake.runs.simulation import run
-from stewart_drake.training.environments import TrackEnvironment, TuneEnvironment
+from stewart_drake.training.environments import BallEnvironment, TrackEnvironment, TuneEnvironment
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["Track", "Tune"])
+@pytest.mark.parametrize("name", ["Track", "Tune", "Ball"])
 def test_gymnasium_finds_and_accepts_it(name):
     check_env(gymnasium.make(f"stewart_drake/{name}-v0").unwrapped, skip_render_check=True)
 
@@ -54,3 +55,39 @@ def test_an_action_moves_the_setting_to_its_end_of_the_box():
     box, setting = environment.policy, environment.episode.loop.runner.signal("setting")
     np.testing.assert_allclose(setting[0], box.centre[0] + box.above[0])
     np.testing.assert_allclose(setting[1], box.centre[1] - box.below[1])
+
+
+def balanced(environment, seed, policy):
+    """Sum of the rewards of an episode, and whether the ball fell."""
+    observation, _ = environment.reset(seed=seed)
+    total, failed, late = 0.0, False, False
+    while not (failed or late):
+        observation, reward, failed, late, _ = environment.step(policy(observation))
+        total += reward
+    return total, failed
+
+
+def test_the_lqi_balances_a_ball_and_a_random_policy_does_not():
+    environment, random = BallEnvironment(), np.random.default_rng(0)
+    limits, plate = environment.limits, 0.15
+    environment.reset(seed=0)
+    gain = limits.gain(*environment.episode.scenario.ball.per_tilt(9.81), environment.interval)
+
+    def lqi(seen):
+        place, velocity, target, tilt, rate = np.split(seen.astype(float), 5)
+        errors = plate * (place - target), plate * velocity, limits.max_tilt * tilt, limits.max_rate * rate
+        return rate - environment.interval * (gain @ np.stack(errors)) / limits.max_rate
+
+    for seed in range(2):
+        total, failed = balanced(environment, seed, lqi)
+        assert total > 230.0
+        assert not failed
+        first = environment.episode.loop.measured.copy()
+        assert balanced(environment, seed, lqi)[0] == total
+        np.testing.assert_array_equal(environment.episode.loop.measured, first)
+        assert balanced(environment, seed, lambda _: random.uniform(-1.0, 1.0, 2)) < (70.0, True)
+
+
+def test_a_scenario_without_a_ball_is_refused():
+    with pytest.raises(ConfigurationError, match="ball: expected a section"):
+        BallEnvironment("hold")
