@@ -139,7 +139,7 @@ tab: install ## docs/tab.html, the robot in a browser's tab
 
 # The picture of docs/your_robot.md is the `desk.png` that its commands write.
 pictures: install ## pictures and films of the documentation; needs Debian's chromium
-	for name in plan robot density meshcat gallery; do $(BIN)/python docs/scripts/draw_$$name.py || exit 1; done
+	for name in plan robot density ball meshcat gallery; do $(BIN)/python docs/scripts/draw_$$name.py || exit 1; done
 	for name in paper reachy_mini servo_hexapod; do \
 	  $(BIN)/stewart-drake robots show $$name --quiet --picture docs/images/robots/$$name.png || exit 1; done
 
