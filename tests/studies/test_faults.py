@@ -26,8 +26,11 @@ def test_the_sizes_of_faults_of_another_robot_are_told():
     assert fault_study().sheet([row]).notes == ["1 rejected: x"]
 
 
-def fault_row(fault, motion):
-    study = fault_study(pairs=[(fault, motion)])
+WITH_IMU = ("sensors.kind=encoders", "sensors.imu.preset=bmi088", "command_delay=1", "estimator.kind=observer")
+
+
+def fault_row(fault, motion, overrides=()):
+    study = fault_study(pairs=[(fault, motion)], overrides=overrides)
     (row,) = study.tables([run_here(study.trials[0])])["faults"][1]
     return {column.name: row.get(column.name) for column in COLUMNS}
 
@@ -49,9 +52,19 @@ def bad_ending(fault, row):
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("name", ["encoder_frozen", "encoder_drifts_far"])
+def test_with_an_inertial_sensor_no_wrong_encoder_is_unnoticed(name, motion):
+    row = fault_row(FAULTS[name], motion, WITH_IMU)
+    assert (row["reaction"], row["safety_leg"]) == ("ramped", 1)
+    assert row["travel_deg"] < 2.0
+    assert row["travel_mm"] < 3.0
+
+
+@pytest.mark.long
 @pytest.mark.parametrize(("fault", "motion"), IN_TURN, ids=lambda v: getattr(v, "name", v))
 def test_a_fault_ends_as_the_catalogue_says(fault, motion):
-    row = fault_row(fault, motion)
+    row = fault_row(fault, motion, () if fault.imu is None else WITH_IMU)
     assert bad_ending(fault, row) is None
     statuses = {"refused": "rejected", "ramped": "stopped", "ended": "failed", "unnoticed": "completed or lost"}
     assert row["status"] in statuses.get(row["reaction"], "completed")
