@@ -41,7 +41,7 @@ from stewart_drake.safety.stillness import cranks_at
 
 HALT = 0.3  # [s] in which the reference comes to rest, and the replaced reading to the true angle.
 SPEED = 0.2  # [rad/s], and [1/s] in characteristic lengths: largest rate on the way home; assumed.
-LEAST_LINE = 0.1  # [-] turn of the platform per turn of a crank, below which an orientation does not tell the crank.
+LEAST_LINE = 0.01  # [-] turn of the platform per turn of a crank, below which an orientation does not tell the crank.
 SUSPECT, PATIENCE = 0.25, 1.5
 """Share of the bound beyond which a change of the difference names a leg; and up to which none need be named."""
 SLOWNESS = 0.4  # Largest product of the observer's bandwidth and the age of the sensor's orientation; assumed.

@@ -1,5 +1,6 @@
 """The exported controller gives the commands of `Controller`, whatever the readings are."""
 
+import contextlib
 import subprocess
 from functools import cache
 
@@ -122,6 +123,36 @@ def test_it_takes_inertial_readings_as_further_numbers_of_a_reading(imu, tmp_pat
             assert in_c.step(np.concatenate([reading, imu]), wanted, mine, 0.0) == 0
             np.testing.assert_allclose(mine, out, rtol=0.0, atol=SAME * np.abs(out).max())
         loop.move()
+
+
+@pytest.mark.slow
+def test_it_goes_on_with_five_encoders_as_python_does(tmp_path):
+    """A drift is found, replaced, and the robot led home until the layer ends the run, at the same step."""
+    sensors = {"kind": "encoders", "resolution_bits": 17, "noise": 2e-5, "imu": {"delay": 0.002, "period": 0.002}}
+    sensors["faults"] = [{"kind": "drift", "size": 0.5, "leg": 4, "time": 0.6}]
+    safety = {"on_lost_encoder": "home", "safe_hold_time": 0.1}
+    scenario = load_scenario("exact_breathing").replace({"plant": "closed_form", "sensors": sensors, "safety": safety})
+    export_controller(scenario, "five", tmp_path)
+    loop, controller, in_c = SteppedLoop(scenario), Controller(scenario), InC(tmp_path, "five")
+    (mine, out), levels = np.empty((2, 6)), set()
+    names = [name for name in ("reference", "reference_ahead") if name in controller._running.places]
+    loop.begin()
+    for _ in range(4000):
+        with contextlib.suppress(RunFailure):
+            loop.run_parts()
+        reading, imu = (loop.runner.signal(name).copy() for name in ("reading", "imu"))
+        wanted = np.concatenate([loop.runner.signal(name) for name in names])
+        status = in_c.step(np.concatenate([reading, imu]), wanted, mine, 0.0)
+        try:
+            controller.step(reading, loop.time, out, imu=imu)
+        except RunFailure:
+            break
+        assert status == 0
+        np.testing.assert_allclose(mine, out, rtol=0.0, atol=1e-9 * np.abs(out).max())
+        levels.add(controller.status)
+        loop.move()
+    assert status != 0
+    assert levels == {"none", "ramp", "safe_hold"}
 
 
 def test_what_learns_is_refused_by_its_key(tmp_path):
