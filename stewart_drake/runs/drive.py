@@ -69,8 +69,8 @@ def connected(
 
     Raises:
         ConfigurationError: `seconds` is out of range; the machine takes other commands than the model's motors, has
-            another rate, or measures no angles to learn from or to check; the model's robot cannot have its angles; the approach
-            leaves the limits.
+            another rate, or measures no angles to learn from or to check; the model's robot cannot have its angles;
+            the approach leaves the limits.
         MachineError: It cannot be reached.
     """
     model, reference, period = scenario.controller_model, scenario.reference, scenario.reading_period

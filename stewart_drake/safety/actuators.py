@@ -76,13 +76,15 @@ def _turn(angle: float) -> float:
 def torques_asked(gain: Vec6, params: ActuatorParams, command: Vec6, state: ActuatorState, out: Vec6) -> None:
     """Torques (6,) [N m] that a command asks for, beyond any limit; 0 where a crank is not read.
 
-    A commanded angle counts from where its crank will be in the middle of the tick in which it acts.
+    A commanded angle counts from where its crank will be in the middle of the tick in which it acts; it may be off by a
+    whole turn, but not by many.
     """
     for i in range(6):
         out[i] = gain[i] * command[i]
         if params.holds > 0.0:
             angle = state.cranks[i] + (params.late + 0.5) * state.turn[i]
-            out[i] = gain[i] * _turn(command[i] - angle) if np.isfinite(angle) else 0.0
+            error = command[i] - angle
+            out[i] = gain[i] * (_turn(error) if abs(error) < 3.0 * np.pi else error) if np.isfinite(angle) else 0.0
 
 
 @njit

@@ -359,7 +359,12 @@ def _pass_on(
     limit, holds = params.torque_limit, params.actuators.holds > 0.0
     torque, spare, steadiness, full, steep = np.empty(6), np.empty(6), np.empty(6), False, False
     for i in range(6):
-        size, change, most = abs(asked[i]), abs(command[i] - state.command[i]), np.inf if holds else limit[i] / gain[i]
+        # A jump to a lasting wrong torque is found by what it does; a servo would be there first. It may go on as its
+        # reference does.
+        before, most = state.command[i], limit[i] / gain[i]
+        if holds:
+            before, most = state.torque[i] + state.still.turn[i], np.inf
+        size, change = abs(asked[i]), abs(command[i] - before)
         full = full or size >= limit[i] * (1.0 - _ROUNDING)
         steep = steep or change > _largest_change(gain[i], params, state) * (1.0 + _ROUNDING)
         spare[i], steadiness[i] = -size / limit[i], -change
@@ -384,15 +389,15 @@ def _pass_on(
 
 @njit
 def _plan_rest(gain: Vec6, params: SafetyParams, command: Vec6, cranks: Vec6, state: SafetyState) -> None:
-    """Angles at which servos would come to rest from a command; `state.good` is that of the tick before.
+    """Angles at which servos would come to rest from a command.
 
-    Without feedback they go on along their path as far as they go in half of the ramp; a command is ahead of its crank
-    by the servo's damping. With feedback a command has an angle for a torque that is not to last: they stay where they
-    are, but for the angle that carries the weight. No reading moves a servo otherwise.
+    Without feedback they go on along the path of the reference as far as they go in half of the ramp; a command is
+    ahead of its crank by the servo's damping. With feedback a command has an angle for a torque that is not to last:
+    they stay where they are, but for the angle that carries the weight. No reading moves a servo otherwise.
     """
     for i in range(6):
-        speed = (command[i] - state.good[i]) / params.period if state.ticks > 1.0 else 0.0
-        state.rest[i] = command[i] + (0.5 * params.ramp_time - params.actuators.damping / gain[i]) * speed
+        time, speed = 0.5 * params.ramp_time - params.actuators.damping / gain[i], state.still.turn[i] / params.period
+        state.rest[i] = command[i] + time * speed
         if params.actuators.follows == 0.0:
             state.rest[i] = cranks[i] + state.weight[i] / gain[i] if np.isfinite(cranks[i]) else command[i]
 

@@ -49,7 +49,8 @@ _OF_ROW = np.array([(monitor, of_legs) for monitor, _, of_legs in LIMITS])
 
 TIE = 1e-6  # Difference of two legs, in any unit, below which the first leg is named.
 AT_LIMIT_TIME, TOO_FAST_TIME = 0.1, 0.01
-"""[s] total time for which commands may be at the torque limit, and may jump, or a tick. Good ticks are subtracted from it."""
+"""[s] total time for which commands may be at the torque limit, and may jump, or a tick. Good ticks are subtracted from
+it."""
 RUNAWAY_TIME = 0.005
 """[s] for which a crank of a stopping robot may turn too fast: a reading may jump."""
 IMPACT = 0.005  # [s] longest impact, as `disturbances` has it.

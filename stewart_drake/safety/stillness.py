@@ -47,6 +47,7 @@ class StillState(Record):
     sine: Vec6
     angles: Vec6  # [rad] read last.
     reference: Vec6  # [rad] turned by the reference since the first tick.
+    turn: Vec6  # [rad] of that in the last tick.
     dragged_reference: Vec6  # [rad] the same with play.
     dragged_angles: Vec6  # [rad] readings with play.
     reference_travel: Travel  # [rad] of the dragged reference in a block, newest first.
@@ -94,6 +95,7 @@ def watch(
         c, s, c_before, s_before = legs.cosine[i], legs.sine[i], state.cosine[i], state.sine[i]
         turn = np.arctan2(s * c_before - c * s_before, c * c_before + s * s_before)
         state.reference[i] += turn
+        state.turn[i] = turn
         moves = moves or turn != 0.0
         travel = _drag(state.reference[i], REFERENCE_PLAY, state.dragged_reference[:], i)
         state.reference_travel[0, i] += travel
