@@ -189,7 +189,9 @@ def test_every_kernel_that_a_controller_reaches_is_printed():
     for scenario in scenarios:
         side, age = control_side(scenario, True), np.zeros(1)
         parts = controller_parts(scenario, side, age)
-        text = LoopSource(parts, {"time": 1, **side.outside}, {}, side.context.period, scenario.reading_period, {"age": age}).text()
+        text = LoopSource(
+            parts, {"time": 1, **side.outside}, {}, side.context.period, scenario.reading_period, {"age": age}
+        ).text()
         assert all(f"run_{part.name}(struct loop *loop)" in text for part in parts)
     for key, family in (("controller", CONTROLLERS), ("estimator", ESTIMATORS), ("tuner", TUNERS)):
         assert {getattr(scenario, key).kind for scenario in scenarios} == set(family.kinds)
