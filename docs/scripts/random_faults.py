@@ -14,6 +14,7 @@ from joblib import Parallel, delayed
 
 from stewart_drake.base.atomic_files import write_atomically
 from stewart_drake.base.markdown import markdown_table
+from stewart_drake.hardware.presets import PRESETS
 from stewart_drake.runs.simulation import run
 from stewart_drake.scenario.scenario import Scenario, load_scenario
 from stewart_drake.studies.faults import stopped_at, travel
@@ -41,12 +42,24 @@ class Setup(NamedTuple):
     loops: Mapping[str, tuple[str, Mapping[str, Any]]]
     count: int
     changes: Mapping[str, Any] = {}  # Of all loops.
+    takes_angles: bool = False
 
 
+_SERVO = PRESETS["xl330_m288"]
+SERVOS: Mapping[str, Any] = {
+    "plant": {"kind": "closed_form", "motor_damping": _SERVO.viscous, "motor_friction": _SERVO.coulomb},
+    "controller": {"kind": "feedforward", "period": 0.02},
+    "estimator": {"kind": "difference"},
+    "tuner": "block",
+    "motors": {"kind": "position", "preset": "xl330_m288", "delay": 0.02},
+    "model": {"delay": 0, "friction": {"viscous": _SERVO.viscous, "coulomb": _SERVO.coulomb, "width": 0.004}},
+    "command_delay": 0,
+}
 SETUPS = (
     Setup("The paper's robot, 1 kHz", LOOPS, 500),
     Setup("Reachy Mini by torque, 100 Hz", REACHY, 200),
     Setup("Reachy Mini by torque, 50 Hz", REACHY, 200, {"controller.period": 0.02}),
+    Setup("Reachy Mini by angle, 50 Hz", REACHY, 200, SERVOS, takes_angles=True),
 )
 OBSERVED = (
     {"estimator": {"kind": "observer"}, "tuner": "policy"},
@@ -57,11 +70,11 @@ OF_MOTORS = ("dead", "motor reversed", "motors swapped")
 DURATION = 2.0
 
 
-def drawn(number: int, loops: Mapping[str, tuple[str, Mapping[str, Any]]] = LOOPS) -> tuple[str, float, Scenario]:
+def drawn(number: int, setup: Setup = SETUPS[0]) -> tuple[str, float, Scenario]:
     """Kind, onset [s] and scenario of a random fault."""
     rng = np.random.default_rng([32, number])
-    name, changes = loops[str(rng.choice(list(loops)))]
-    kind = str(rng.choice(OF_ENCODERS + OF_MOTORS))
+    name, changes = setup.loops[str(rng.choice(list(setup.loops)))]
+    kind = str(rng.choice(OF_ENCODERS if setup.takes_angles else OF_ENCODERS + OF_MOTORS))
     leg, other = (int(each) for each in rng.permutation(6)[:2])
     onset, observed = round(float(rng.uniform(0.3, 1.3)), 3), OBSERVED[int(rng.integers(2))]
     fault: dict[str, Any] = {"time": onset, "leg": leg}
@@ -73,19 +86,21 @@ def drawn(number: int, loops: Mapping[str, tuple[str, Mapping[str, Any]]] = LOOP
         fault["delay"] = size
     if kind.endswith("swapped"):
         fault["other"] = other
+    if setup.takes_angles:
+        fault["in_servo"] = bool(rng.random() < 0.5)
     more: dict[str, Any] = {"sensors.faults": [{"kind": kind, **fault}]}
     if kind == "dead":
         more = {"motors.dead": fault}
     elif kind in OF_MOTORS:
         more = {"motors.faults": [{"kind": kind.split()[1], **fault}]}
     common = {"name": f"fault {number}", "plant.kind": "closed_form", "duration": DURATION, "safety": {}}
-    return kind, onset, load_scenario(name).replace({**changes, **common, **observed}).replace(more)
+    scenario = load_scenario(name).replace({**changes, **common, **observed})
+    return kind, onset, scenario.replace(setup.changes).replace(more)
 
 
 def row(number: int, setup: Setup = SETUPS[0]) -> dict[str, Any]:
     """Travels [deg, mm] of a fault without the sensor, with it, with a stop at the onset, and without a layer."""
-    kind, onset, scenario = drawn(number, setup.loops)
-    scenario = scenario.replace(setup.changes)
+    kind, onset, scenario = drawn(number, setup)
     scenarios = (scenario, scenario.replace(SENSOR), stopped_at(scenario, onset), scenario.replace({"safety": None}))
     logs = [run(each, check=False) for each in scenarios]
     ends = [np.array(travel(each, onset)) * (np.degrees(1.0), 1e3) for each in logs]
