@@ -105,7 +105,9 @@ def trips(scenario: Scenario, kind: Kind, motion: Minute, time: float, rng: np.r
         offsets = offset + np.cumsum(drift * rng.standard_normal((count, 6)), axis=0)
         offset = offsets[-1]
         imu = scale * motion.imu + offsets + options.noise(kind.period) * rng.standard_normal((count, 6))
-        imu = np.clip(np.rint(imu / options.quantum) * options.quantum, -options.by_channel("range"), options.by_channel("range"))
+        imu = np.clip(
+            np.rint(imu / options.quantum) * options.quantum, -options.by_channel("range"), options.by_channel("range")
+        )
         angles = np.rint((motion.angles + homing) / step) * step
         row = parity_rows(robot, params, angles, imu, motion.reference, legs, state, out)
         if row >= 0:
@@ -143,9 +145,17 @@ LOOPS: Mapping[str, tuple[str, dict[str, Any], int]] = {
 def loop(number: int, name: str, changes: dict[str, Any], time: float) -> str:
     """The monitor of a healthy loop with a push, a payload and a wrong friction; empty for none."""
     rng, scenario = np.random.default_rng([8, number]), load_scenario(name)
-    plant = {"kind": "closed_form", **{key: scenario.plant.to_dict()[key] for key in ("motor_damping", "motor_friction")}}
+    plant = {
+        "kind": "closed_form",
+        **{key: scenario.plant.to_dict()[key] for key in ("motor_damping", "motor_friction")},
+    }
     weight = 9.81 * scenario.robot.platform_mass
-    push = {"kind": "step", "time": 3.0, "until": 4.0, "wrench": [0, 0, 0, *(0.1 * weight * rng.normal(size=3)).tolist()]}
+    push = {
+        "kind": "step",
+        "time": 3.0,
+        "until": 4.0,
+        "wrench": [0, 0, 0, *(0.1 * weight * rng.normal(size=3)).tolist()],
+    }
     load = {"kind": "constant", "wrench": [0, 0, 0, 0, 0, -0.2 * weight * rng.uniform()]}
     plant["motor_friction"] *= rng.uniform(0.7, 1.2)
     sensors = {**scenario.sensors.to_dict(), "kind": "encoders"}
