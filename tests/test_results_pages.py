@@ -142,6 +142,18 @@ def test_faults(with_it, overrides):
     assert_says(page.cell("`dead_motor_3`", column=f"{with_it}travel [deg], [mm]"), *worst, within=NOISY)
 
 
+def test_faults_with_an_inertial_sensor():
+    keys = "sensors.kind=encoders", "sensors.imu.preset=bmi088", "command_delay=1", "estimator.kind=observer"
+    page, study = Page("faults"), fault_study(overrides=keys)
+    trials = [trial for trial in study.trials if trial.labels["fault"] == "encoder_drifts_far"]
+    rows = study.tables([{**trial.labels, **execute(trial)} for trial in trials])["faults"][1]
+    assert page.cell("`encoder_drifts_far`", column="sensor: outcome") == "stopped"
+    shown = page.cell("`encoder_drifts_far`", column="sensor: trips after [ms]")
+    assert_says(shown, *(row["latency_ms"] for row in rows), within=NOISY)
+    worst = (max(row[key] for row in rows) for key in ("travel_deg", "travel_mm"))
+    assert_says(page.cell("`encoder_drifts_far`", column="sensor: travel [deg], [mm]"), *worst, within=NOISY)
+
+
 def test_random_faults(page):
     one = random_faults.row(next(number for number in range(500) if random_faults.drawn(number)[0] == "nan"))
     assert all(one["named"])

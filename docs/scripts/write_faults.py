@@ -1,8 +1,10 @@
-"""Writes docs/results/faults.md from the tables of two fault studies.
+"""Writes docs/results/faults.md from the tables of three fault studies.
 
 stewart-drake faults --out runs/faults
 stewart-drake faults --out runs/faults-observer --set estimator.kind=observer
-python docs/scripts/write_faults.py runs/faults runs/faults-observer     # some minutes for each study on two cores
+stewart-drake faults --out runs/faults-sensor --set estimator.kind=observer --set sensors.kind=encoders \\
+    --set sensors.imu.preset=bmi088 --set command_delay=1
+python docs/scripts/write_faults.py runs/faults runs/faults-observer runs/faults-sensor     # five minutes on two cores
 """
 
 import re
@@ -17,15 +19,35 @@ TARGET = Path(__file__).parents[1] / "results" / "faults.md"
 CELL = re.compile(r"[^(:]+?(?: \((?P<monitor>\w+)(?:, (?P<latency>\d+) ms)?(?:, leg \d)?\))?: (?P<end>\w+)")
 NOTHING = 0.1
 """[mm] of travel up to which a fault has no row."""
+SENSOR = re.compile(r"encoder|homing|imu_|gyro_|accelerometer_")
+"""Names of the faults in which an inertial sensor matters."""
 TEXT = """# When something breaks
 
 What does the safety layer do when a part of the robot fails, and how far does the platform travel until it is at rest?
 {count} faults, each while the robot holds a pose, breathes, and follows the paper's motion.
 
-Command: `stewart-drake faults`, and the same with `--set estimator.kind=observer`. They write these tables with
-all columns, and what every fault is; `docs/scripts/write_faults.py` makes this page of both.
+Command: `stewart-drake faults`, the same with `--set estimator.kind=observer`, and that with
+`--set sensors.kind=encoders --set sensors.imu.preset=bmi088 --set command_delay=1`. They write these tables with
+all columns, and what every fault is; `docs/scripts/write_faults.py` makes this page of the three.
 
-## Faults that end or interrupt a run
+## Faults of encoders, and of an inertial sensor
+
+**With an inertial sensor on the platform {unnoticed}.**
+Without it {without}: six readings for six degrees of freedom never
+contradict each other, and the platform follows the wrong one.
+
+{sensors}
+
+- *unnoticed*: no monitor trips, and the true pose goes farther from the reference than `safety.following_error` allows.
+  *tolerated*: no monitor trips, and it stays within that.
+- Both columns are with the observer.
+- *stopped*, with the sensor: the robot came to rest and was held on five encoders and the sensor, or on all six if none
+  is wrong, to the end of the safe hold ([how long it can be](lost_encoder.md)). Then brakes close. A slow drift is found
+  when it has turned the platform by about a degree.
+
+## Other faults that end or interrupt a run
+
+Without an inertial sensor, which {others}.
 
 {tripped}
 
@@ -35,12 +57,10 @@ all columns, and what every fault is; `docs/scripts/write_faults.py` makes this 
   safe hold, or 50 ms after the motors were switched off. The worst of the three motions.
 - *completed*: the layer held the last good command or pose and gave control back. *stopped*: it brought the robot to a
   safe hold. *failed*: it switched the motors off.
-- An encoder that drifts, or that freezes while the robot is at rest, is not noticed: six readings for six degrees of
-  freedom never contradict each other; with an [inertial sensor](parity.md) it is.
 - With a dead motor the other five cannot carry the platform: they need an external force of {support} N to hold it at
   rest. So brakes must close.
 
-## Faults that the loop tolerates
+## Other faults that the loop tolerates
 
 No monitor trips, and all runs are completed. The platform travels by at most {nothing:g} mm with {still}.
 
@@ -55,11 +75,18 @@ class Row(NamedTuple):
 
     ends: list[re.Match[str] | None]
     travel: str
+    reactions: list[str]
 
     @property
     def outcome(self) -> str:
         """Of the runs, those that differ in the order of the motions."""
         return ", ".join(dict.fromkeys(end["end"] if end else "refused" for end in self.ends))
+
+    @property
+    def reaction(self) -> str:
+        """How the layer reacted, without the details of a trip."""
+        named = {"ridden through": "tolerated", "ramped": "stopped"}
+        return ", ".join(dict.fromkeys(named.get(word, word) for word in self.reactions))
 
     @property
     def trips(self) -> str:
@@ -83,15 +110,50 @@ def read(page: str) -> dict[str, Row]:
         name, *cells = [cell.strip() for cell in line.strip("|").split(" | ")]
         if line.startswith("|") and name.strip() in FAULTS:
             *motions, travel, _ = cells
-            found[name.strip()] = Row([CELL.match(cell) for cell in motions], re.sub(" deg| mm", "", travel.strip()))
+            words = [re.split(r" \(|:", cell)[0] for cell in motions]
+            numbers = re.sub(" deg| mm", "", travel.strip())
+            found[name.strip()] = Row([CELL.match(cell) for cell in motions], numbers, words)
     return found
 
 
-def write(plain: str, observed: str) -> str:
-    """The page of two pages that `faults` has written, without an observer and with one."""
-    tripped, borne, still, other = [], [], [], read(observed)
-    for name, row in read(plain).items():
+def unnoticed(rows: dict[str, Row]) -> list[str]:
+    """Faults that are unnoticed in a motion."""
+    return [f"`{name}`" for name, row in rows.items() if "unnoticed" in row.reactions]
+
+
+def sensor_table(plain: dict[str, Row], sensor: dict[str, Row]) -> str:
+    """What becomes of the faults in which the sensor matters, without it and with it."""
+    rows = []
+    if raised := [name for name, row in sensor.items() if "raised" in row.reactions]:
+        raise SystemExit(f"runs of {', '.join(raised)} raised an error; expected none: repeat the study")
+    for name, row in sensor.items():
+        if SENSOR.match(name):
+            before = plain.get(name)
+            cells = ("-",) * 3 if before is None else (before.reaction, before.trips, before.travel)
+            rows.append((f"`{name}`", *cells, row.reaction, row.trips, row.travel))
+    names = ("outcome", "trips after [ms]", "travel [deg], [mm]")
+    return markdown_table(("fault", *names, *(f"sensor: {name}" for name in names)), rows)
+
+
+def compared(observed: dict[str, Row], sensor: dict[str, Row]) -> str:
+    """How the other faults differ with the sensor, in words."""
+    other = []
+    for name, row in observed.items():
+        new = sensor[name]
+        if not SENSOR.match(name) and row.travel != "-" and new.travel != "-":
+            before, now = ([float(number) for number in each.travel.split(", ")] for each in (row, new))
+            if now[0] > before[0] + 1.0 or now[1] > before[1] + 5.0:
+                other.append(f"`{name}` {new.travel} instead of {row.travel} with the observer")
+    return "changes them little" + (f", but for travel with {'; '.join(other)}" if other else "")
+
+
+def write(plain: str, observed: str, sensed: str) -> str:
+    """The page of three pages of `faults`: without an observer, with one, and with an inertial sensor as well."""
+    tripped, borne, still, first, other, sensor = [], [], [], read(plain), read(observed), read(sensed)
+    for name, row in first.items():
         seen = other[name]
+        if SENSOR.match(name):
+            continue
         if {row.outcome, seen.outcome} == {"completed"} and row.trips == seen.trips == "-":
             found = [float(travel.split(", ")[1]) for travel in (row.travel, seen.travel)]
             if max(found) <= NOTHING:
@@ -105,8 +167,13 @@ def write(plain: str, observed: str) -> str:
     support = [float(found) for found in re.findall(r"external force of ([\d.]+) N", plain)]
     header = ("fault", "outcome", "trips after [ms]", "travel [deg], [mm]")
     observer = ("observer: trips after [ms]", "observer: travel [deg], [mm]")
+    found, lost = unnoticed(sensor), dict.fromkeys(unnoticed(first) + unnoticed(other))
     return TEXT.format(
-        count=len(other),
+        count=len(sensor),
+        unnoticed=f"{', '.join(found)} go unnoticed" if found else "no fault goes unnoticed",
+        without=f"{' and '.join(lost)} do" if lost else "none does either",
+        sensors=sensor_table(other, sensor),
+        others=compared(other, sensor),
         tripped=markdown_table((*header, *observer), tripped),
         borne=markdown_table((header[0], header[-1], observer[-1]), borne),
         support=f"{min(support):g} to {max(support):g}",

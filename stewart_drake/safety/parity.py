@@ -46,7 +46,8 @@ MOST_TILT = 0.02
 TILT_MEAN, SAME, OPPOSITE = 0.1, 0.75, 0.5
 """[s] of a mean of this tilt; its distance from the level part of the difference, as a share of that, within which both
 are the same; its share of that from which on it is opposite."""
-BLOCK = 0.01  # [s] least time between two positions of a second difference.
+BLOCK = 0.01
+"""[s] least time between two positions of a second difference. It is more where noise would show as `MOST_TILT`."""
 CHANGE_TIME, CHANGE_PERIODS, CHANGE_SHARE = 0.1, 10.0, 0.2
 """[s], [periods of the sensor] in which the difference may change by this share of its bound, besides noise and errors
 of scale."""
@@ -71,6 +72,7 @@ class ParityParams(Record):
     base: Vec9  # What the base's inertial unit reads, see `base_reading`.
     mounting: Mat3  # R_PI of the sensor.
     place: Vec3  # [m] of the sensor in P.
+    block: float  # [s] between two positions of a second difference.
     later: float  # [s] by which a sample of the inertial sensor is older than a reading of the encoders.
     bound: float  # [rad] largest difference of the two orientations, infinite for none.
     change_time: float  # [s] in which changes of the difference are compared.
@@ -227,7 +229,7 @@ def _compare(params: ParityParams, legs: Legs, before: Mat3, aligning: bool, sta
 @njit
 def _weigh(params: ParityParams, legs: Legs, force: Vec3, fits: bool, aligning: bool, state: ParityState) -> None:
     """Corrects the tilt by a sample of the accelerometers [m/s^2] in P; while biases are found, finds theirs."""
-    block, h, time, length = state.block, state.elapsed, state.block.time + state.elapsed, max(BLOCK, params.period)
+    block, h, time, length = state.block, state.elapsed, state.block.time + state.elapsed, params.block
     in_base, place, velocity, carried = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     turned(legs.rotation, params.place, place)
     for k in range(3):
@@ -243,7 +245,7 @@ def _weigh(params: ParityParams, legs: Legs, force: Vec3, fits: bool, aligning: 
     block.time = time
     if not fits or dot(force, force) > params.range * params.range:
         block.count = 0.0
-    elif block.count == 0.0 or time >= BLOCK - 1e-9:
+    elif block.count == 0.0 or time >= params.block - 1e-9:
         excess, step = np.empty(3), np.empty(3)
         for k in range(3):
             step[k] = place[k] - block.place[k]
@@ -369,7 +371,9 @@ def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:
     )
     noise = change_time * imu.noise(change_time)[:3].max()
     # A second difference of noise has sqrt(6) times its size.
-    shift *= math.sqrt(6.0) * context.noise / max(BLOCK, period) ** 2
+    shift *= math.sqrt(6.0) * context.noise
+    block = max(BLOCK, period, math.sqrt(shift / (MOST_TILT * STANDARD_GRAVITY)))
+    shift /= block**2
     noise = math.hypot(noise, turn * math.sqrt(2.0) * context.noise)
     share = SIGMAS * imu.scale_error
     force_bias = SIGMAS * imu.accelerometer_bias + (math.sin(LARGEST_TILT) + share) * STANDARD_GRAVITY
@@ -379,6 +383,7 @@ def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:
         base=base,
         mounting=imu.mounting,
         place=imu.position,
+        block=block,
         later=imu.delay - context.reading_age,
         bound=bound,
         change_time=change_time,
@@ -386,7 +391,7 @@ def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:
         share=share + MOUNTING_ERROR,
         bias=(SIGMAS * imu.gyro_bias + LARGEST_RATE, force_bias),
         excess=force_bias + SIGMAS * shift,
-        level=0.5 * SIGMAS * min(1.0, max(BLOCK, period) / TILT_MEAN) * shift / STANDARD_GRAVITY,
+        level=0.5 * SIGMAS * min(1.0, block / TILT_MEAN) * shift / STANDARD_GRAVITY,
         range=0.99 * imu.accelerometer_range,
         silent=max(SILENT, SILENT_PERIODS * period),
         repeats=REPEATS if (imu.noise(period) > imu.quantum).any() else np.inf,
