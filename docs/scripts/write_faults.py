@@ -1,8 +1,8 @@
-"""Writes docs/results/faults.md from the tables of three fault studies.
+r"""Writes docs/results/faults.md from the tables of three fault studies.
 
 stewart-drake faults --out runs/faults
 stewart-drake faults --out runs/faults-observer --set estimator.kind=observer
-stewart-drake faults --out runs/faults-sensor --set estimator.kind=observer --set sensors.kind=encoders \\
+stewart-drake faults --out runs/faults-sensor --set estimator.kind=observer --set sensors.kind=encoders \
     --set sensors.imu.preset=bmi088 --set command_delay=1
 python docs/scripts/write_faults.py runs/faults runs/faults-observer runs/faults-sensor     # five minutes on two cores
 """
