@@ -4,8 +4,8 @@ Five encoders leave the platform one freedom: a turn along the line of the lost 
 inertial sensor's orientation gives it, so the angle of the lost crank is one unknown, found by a step of Newton's
 method in every tick. Between two samples of the sensor the last rates turn its orientation on.
 
-The replaced reading begins at the angle that the estimator believed, and moves to the true one within `HALT`; in the
-same time the reference comes to rest. The estimator and the controller see no jump. While no encoder is lost, reading
+The replaced reading begins at the angle that the estimator believed, and moves to the true one within `SHIFT`; the
+reference comes to rest within `HALT`. The estimator and the controller see no jump. While no encoder is lost, reading
 and reference pass unchanged.
 """
 
@@ -38,7 +38,7 @@ from stewart_drake.safety.parity import (
 )
 from stewart_drake.safety.stillness import cranks_at
 
-HALT = 0.3  # [s] in which the reference comes to rest, and the replaced reading to the true angle.
+HALT, SHIFT = 0.1, 0.3  # [s] in which the reference comes to rest, and the replaced reading to the true angle.
 SPEED = 0.2  # [rad/s], and [1/s] in characteristic lengths: largest rate on the way home; assumed.
 SILENT = 5.0  # Periods of the inertial sensor without a sample after which it has failed.
 LEAST_LINE = 0.01  # [-] turn of the platform per turn of a crank, below which an orientation does not tell the crank.
@@ -249,7 +249,7 @@ def _replace(
     if is_first:
         state.gap, state.turned = -state.turned, 0.0
     state.angle = angles[leg]
-    u = min(1.0, state.elapsed / HALT)
+    u = min(1.0, state.elapsed / SHIFT)
     state.used_reading[leg] = state.angle + state.gap * (1.0 - u**3 * (10.0 + u * (6.0 * u - 15.0)))
     return found and np.isfinite(state.used_reading[leg])
 
