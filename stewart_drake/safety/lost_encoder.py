@@ -45,6 +45,7 @@ LEAST_LINE = 0.01  # [-] turn of the platform per turn of a crank, below which a
 SUSPECT, PATIENCE = 0.25, 1.5
 """Share of the bound beyond which a growth of the difference names a leg; and up to which none need be named."""
 LATELY = 0.1  # [s] in which a difference grows.
+LATEST = 4.0  # [ticks] age of the sensor's orientation up to which holding is the default: 3 are held, 9 are not.
 SLOWNESS = 0.4  # Largest product of the observer's bandwidth and the age of the sensor's orientation; assumed.
 FIRST_STEPS = 3  # Of Newton's method when an encoder is lost; one in a later tick.
 NOT_READY = -2.0
@@ -274,7 +275,13 @@ def reaction(options: SafetyOptions, context: LoopContext) -> Reaction:
             "stop or null; the others need encoders, an inertial sensor (sensors.imu), and motors that take torque"
         )
         raise ConfigurationError("safety.on_lost_encoder", asked, allowed)
-    return asked or ("hold" if possible else "stop")
+    return asked or ("hold" if possible and _age(context) <= LATEST * context.period else "stop")
+
+
+def _age(context: LoopContext) -> float:
+    """[s] by which a sample of the inertial sensor is older than a reading of the encoders, at most."""
+    imu = context.imu
+    return 0.0 if imu is None else imu.delay - context.reading_age + (imu.period or context.period) - context.period
 
 
 def going_parts(options: SafetyOptions, context: LoopContext, period: float, preview: float) -> tuple[Part, ...]:
@@ -290,8 +297,7 @@ def going_parts(options: SafetyOptions, context: LoopContext, period: float, pre
     parity = parity_part(context.ticking(period), context.imu, bound)
     home, speed = robot.home_pose if wanted == "home" else np.nan, SPEED * robot.characteristic_length
     # The older the orientation, the slower the observer: its bandwidth grows with the cube root of this number.
-    every = context.imu.period or period
-    age = max(1e-6, context.imu.delay - context.reading_age + every - period)
+    age = max(1e-6, _age(context.ticking(period)))
     slow = context.noise * np.sqrt(period) * (SLOWNESS / age) ** 3
     going = GoingParams.new(period=period, home=home, speed=speed, preview=preview, most_disturbance=slow)
     given = {name: parity.initial[name] for name in parity.initial.dtype.names or ()}
