@@ -12,12 +12,15 @@ from stewart_drake.mechanics.kinematics import rotation_matrix
 PAGE = Path(__file__).parents[1] / "results" / "parity.md"
 ONSET, DURATION, LEG = 2.0, 10.0, 2  # [s], [s]
 SENSORS = {"kind": "encoders", "resolution_bits": 17, "noise": 2e-5}
-CLOSED_FORM = {"plant": "closed_form", "safety": {}, "duration": DURATION}
+CLOSED_FORM = {"plant": "closed_form", "safety": {"on_lost_encoder": "stop"}, "duration": DURATION}
 MINI = {"kind": "closed_form", "motor_damping": 0.095, "motor_friction": 0.058}
 SETUPS = {
     "breathing": ("exact_breathing", {**CLOSED_FORM, "sensors": SENSORS}),
     "at rest": ("exact_breathing", {**CLOSED_FORM, "sensors": SENSORS, "reference": {"kind": "hold"}}),
-    "Reachy Mini nods, 100 Hz": ("reachy_nod", {"plant": MINI, "safety": {}, "duration": DURATION}),
+    "Reachy Mini nods, 100 Hz": (
+        "reachy_nod",
+        {"plant": MINI, "safety": {"on_lost_encoder": "stop"}, "duration": DURATION},
+    ),
 }
 FAULTS = {
     "drifts by 0.3 rad/s": {"kind": "drift", "size": 0.3},
@@ -36,7 +39,8 @@ with and without an inertial sensor (BMI088) on the platform? Command: `make res
   numbers are the farthest true pose from the reference.
 - *parity*: the orientation by the encoders and that by the inertial sensor differ by more than 1 deg (`safety.parity`).
   The direction of the difference names the leg; *leg -* where it fits none well enough.
-- After such a stop the brakes must close: the layer holds the robot for 40 ms.
+- Here the robot stops (`on_lost_encoder: stop`), and brakes must close within 40 ms. By default it is
+  [held on five encoders](lost_encoder.md).
 """
 
 

@@ -4,8 +4,8 @@ Five encoders leave the platform one freedom: a turn along the line of the lost 
 inertial sensor's orientation gives it, so the angle of the lost crank is one unknown, found by a step of Newton's
 method in every tick. Between two samples of the sensor the last rates turn its orientation on.
 
-The replaced reading begins at the angle that the estimator believed, and moves to the true one within `HALT`; in the
-same time the reference comes to rest. The estimator and the controller see no jump. While no encoder is lost, reading
+The replaced reading begins at the angle that the estimator believed, and moves to the true one within `SHIFT`; the
+reference comes to rest within `HALT`. The estimator and the controller see no jump. While no encoder is lost, reading
 and reference pass unchanged.
 """
 
@@ -38,11 +38,12 @@ from stewart_drake.safety.parity import (
 from stewart_drake.safety.stillness import cranks_at
 from stewart_drake.safety.wrong_leg import encoder_lines, suspect_leg
 
-HALT = 0.3  # [s] in which the reference comes to rest, and the replaced reading to the true angle.
+HALT, SHIFT = 0.1, 0.3  # [s] in which the reference comes to rest, and the replaced reading to the true angle.
 SPEED = 0.2  # [rad/s], and [1/s] in characteristic lengths: largest rate on the way home; assumed.
 LEAST_LINE = 0.01  # [-] turn of the platform per turn of a crank, below which an orientation does not tell the crank.
 SUSPECT, PATIENCE = 0.25, 1.5
 """Share of the bound beyond which a change of the difference names a leg; and up to which none need be named."""
+LATEST = 4.0  # [ticks] age of the sensor's orientation up to which holding is the default: 3 are held, 9 are not.
 SLOWNESS = 0.4  # Largest product of the observer's bandwidth and the age of the sensor's orientation; assumed.
 FIRST_STEPS = 3  # Of Newton's method when an encoder is lost; one in a later tick.
 NOT_READY = -2.0
@@ -244,7 +245,7 @@ def _replace(
         set_to(state.change[:], 0.0)
         state.excess = state.block.count = 0.0
     state.angle = angles[leg]
-    u = min(1.0, state.since / HALT)
+    u = min(1.0, state.since / SHIFT)
     state.used_reading[leg] = state.angle + state.gap * (1.0 - u**3 * (10.0 + u * (6.0 * u - 15.0)))
     return found and np.isfinite(state.used_reading[leg])
 
@@ -269,7 +270,13 @@ def reaction(options: SafetyOptions, context: LoopContext) -> Reaction:
             "stop or null; the others need encoders, an inertial sensor (sensors.imu), and motors that take torque"
         )
         raise ConfigurationError("safety.on_lost_encoder", asked, allowed)
-    return asked or ("hold" if possible else "stop")
+    return asked or ("hold" if possible and _age(context) <= LATEST * context.period else "stop")
+
+
+def _age(context: LoopContext) -> float:
+    """[s] by which a sample of the inertial sensor is older than a reading of the encoders, at most."""
+    imu = context.imu
+    return 0.0 if imu is None else imu.delay - context.reading_age + (imu.period or context.period) - context.period
 
 
 def going_parts(options: SafetyOptions, context: LoopContext, period: float, preview: float) -> tuple[Part, ...]:
@@ -285,8 +292,7 @@ def going_parts(options: SafetyOptions, context: LoopContext, period: float, pre
     parity = parity_part(context.ticking(period), context.imu, bound)
     home, speed = robot.home_pose if wanted == "home" else np.nan, SPEED * robot.characteristic_length
     # The older the orientation, the slower the observer: its bandwidth grows with the cube root of this number.
-    every = context.imu.period or period
-    age = max(1e-6, context.imu.delay - context.reading_age + every - period)
+    age = max(1e-6, _age(context.ticking(period)))
     slow = context.noise * np.sqrt(period) * (SLOWNESS / age) ** 3
     going = GoingParams.new(period=period, home=home, speed=speed, preview=preview, most_disturbance=slow)
     given = {name: parity.initial[name] for name in parity.initial.dtype.names or ()}

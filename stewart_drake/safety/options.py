@@ -68,7 +68,8 @@ class SafetyOptions(Section, key="safety"):
     on_lost_encoder: Literal["stop", "hold", "home"] | None = None
     """Reaction to one encoder that is wrong. stop: as to any other fault. hold: the robot comes to rest, and is held on
     five encoders and the inertial sensor on the platform; home: it is led home slowly as well. At rest it is held for
-    `safe_hold_time`; a second fault stops it. Null for hold where that is possible: with such a sensor and torques."""
+    `safe_hold_time`; a second fault stops it. Null for hold with such a sensor, at most 4 ticks old, and torques; else
+    for stop."""
     torque_limit: Annotated[Positive, Field(le=1.0)] | None = 1.0
     """[-] largest command as a fraction of the motors' limit; commands are cut there. They may be there or beyond for
     0.1 s in sum. An angle [rad] counts as the torque that it asks of the servo, and is not cut."""
