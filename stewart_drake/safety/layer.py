@@ -261,9 +261,10 @@ def _loses_encoder(params: SafetyParams, parity: Vec2, state: SafetyState) -> bo
     for i in range(6):
         suspects += 1 if state.residual.suspect[i] != 0.0 else 0
         wrong = i if state.residual.suspect[i] == READING_WRONG else wrong
-    # A broken rod looks like a wrong reading to the residual alone.
     is_missing = wrong >= 0 and (state.residual.unread_ticks[wrong] > 0.0 or state.safety.monitor == SENSOR)
     is_replaced = parity[1] == wrong or (is_missing and parity[0] == 0.0 and parity[1] != NOT_READY)
+    # A broken rod looks like a wrong reading, to the inertial sensor as well; torques show it first.
+    is_replaced = is_replaced and state.safety.monitor != UNEXPLAINED
     if params.goes_on > 0.0 and state.stop_ticks == 0.0 and suspects == 1 and wrong >= 0 and is_replaced:
         state.lost[0], state.lost_by, state.stop_ticks = wrong, state.safety.monitor, 1.0
         state.at_limit = state.too_fast = 0.0  # Its torques end.
