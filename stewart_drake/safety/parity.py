@@ -43,7 +43,7 @@ TILT_TIME, BIAS_TIME, TURN_TIME = 1.5, 10.0, 5.0
 """[s] in which gravity corrects the tilt and the gyroscopes' bias, and encoders the turn around gravity; assumed."""
 MOST_TILT = 0.02
 """[rad] largest tilt with which gravity corrects. More of it is an acceleration that wrong readings do not show."""
-TILT_MEAN, SAME, OPPOSITE = 0.1, 0.75, 0.5
+TILT_MEAN, SAME, OPPOSITE = 0.1, 0.5, 0.5
 """[s] of a mean of this tilt; its distance from the level part of the difference, as a share of that, within which both
 are the same; its share of that from which on it is opposite."""
 BLOCK = 0.01
