@@ -150,6 +150,7 @@ def loop(number: int, name: str, changes: dict[str, Any], time: float) -> str:
         **{key: scenario.plant.to_dict()[key] for key in ("motor_damping", "motor_friction")},
     }
     weight = 9.81 * scenario.robot.platform_mass
+    force = (0.1 * weight * rng.normal(size=3)).tolist()
     push = {
         "kind": "step",
         "time": 3.0,

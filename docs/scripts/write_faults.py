@@ -1,8 +1,8 @@
-"""Writes docs/results/faults.md from the tables of three fault studies.
+r"""Writes docs/results/faults.md from the tables of three fault studies.
 
 stewart-drake faults --out runs/faults
 stewart-drake faults --out runs/faults-observer --set estimator.kind=observer
-stewart-drake faults --out runs/faults-sensor --set estimator.kind=observer --set sensors.kind=encoders \\
+stewart-drake faults --out runs/faults-sensor --set estimator.kind=observer --set sensors.kind=encoders \
     --set sensors.imu.preset=bmi088 --set command_delay=1
 python docs/scripts/write_faults.py runs/faults runs/faults-observer runs/faults-sensor     # five minutes on two cores
 """
@@ -42,8 +42,8 @@ contradict each other, and the platform follows the wrong one.
   *tolerated*: no monitor trips, and it stays within that.
 - Both columns are with the observer.
 - *stopped*, with the sensor: the robot came to rest and was held on five encoders and the sensor, or on all six if none
-  is wrong, to the end of the safe hold ([how long it can be](lost_encoder.md)). Then brakes close. A slow drift is found
-  when it has turned the platform by about a degree.
+  is wrong, to the end of the safe hold ([how long it can be](lost_encoder.md)). Then brakes close. A slow drift is
+  found when it has turned the platform by about a degree.
 
 ## Other faults that end or interrupt a run
 
