@@ -155,7 +155,7 @@ def loop(number: int, name: str, changes: dict[str, Any], time: float) -> str:
         "kind": "step",
         "time": 3.0,
         "until": 4.0,
-        "wrench": [0, 0, 0, *(0.1 * weight * rng.normal(size=3)).tolist()],
+        "wrench": [0, 0, 0, *force],
     }
     load = {"kind": "constant", "wrench": [0, 0, 0, 0, 0, -0.2 * weight * rng.uniform()]}
     plant["motor_friction"] *= rng.uniform(0.7, 1.2)

@@ -62,9 +62,9 @@ with and without an inertial sensor (BMI088) on the platform? Command: `make res
 
 {pairs}
 
-**What is promised:** with two faults the robot is stopped, and a second fault ends a hold on five encoders. The leg that
-is named may be wrong, and so is the pose in which the robot is held: brakes must close at once. A frozen encoder of a
-robot that is held is right.
+**What is promised:** with two faults the robot is stopped, and a second fault ends a hold on five encoders. The leg
+that is named may be wrong, and so is the pose in which the robot is held: brakes must close at once. A frozen encoder
+of a robot that is held is right.
 
 ## False trips
 
@@ -79,9 +79,9 @@ Healthy readings of {seconds} s in sum: {trips} trips of the comparison.
 - Where there are trips: an MPU-6050 with a scale 4.7 % off (three standard deviations) on a platform that turns while
   its offsets are found, in the first half second. Start at rest.
 
-A base that shakes, and [that nobody measures](../moving_base.md), is felt by the inertial sensor alone. Paper's robot at
-rest, 100 Hz, BMI088: from this motion along x on the comparison trips within a minute. A table that stands firm has
-far less above 1 Hz; a vehicle or a ship has more, and needs `base.sensor`.
+A base that shakes, and [that nobody measures](../moving_base.md), is felt by the inertial sensor alone. Up to this motion
+along x the comparison does not trip within a minute; paper's robot at rest, 100 Hz, BMI088. A vehicle or a ship has
+more, and needs `base.sensor`.
 
 {shaken}
 """
