@@ -70,7 +70,8 @@ page_drive = $(SCRIPT)/drive_reachy.py
 define page_faults
 $(CLI) faults --out runs/faults
 $(CLI) faults --out runs/faults-observer --set estimator.kind=observer
-$(SCRIPT)/write_faults.py runs/faults runs/faults-observer
+$(CLI) faults --out runs/faults-sensor --set estimator.kind=observer --set sensors.kind=encoders --set sensors.imu.preset=bmi088 --set command_delay=1
+$(SCRIPT)/write_faults.py runs/faults runs/faults-observer runs/faults-sensor
 endef
 # Three minutes, from the settings that are kept. With the folder of `tune fair` as argument the script keeps new ones.
 page_fair_comparison = $(SCRIPT)/write_fair.py
@@ -82,12 +83,14 @@ page_integrators = $(SCRIPT)/integrators.py
 page_margins = $(SCRIPT)/margins_study.py
 # Half an hour: four thousand runs.
 page_monte_carlo = $(CLI) sweep monte_carlo --out runs/monte_carlo && $(SCRIPT)/write_monte_carlo.py runs/monte_carlo
-# Five minutes.
+# A quarter of an hour.
 page_random_faults = $(SCRIPT)/random_faults.py
 # Five minutes.
 page_imu = $(SCRIPT)/imu_study.py
 # Two minutes.
 page_ball = $(SCRIPT)/ball_study.py
+# Two minutes.
+page_lost_encoder = $(SCRIPT)/lost_encoder.py
 # A minute.
 page_parity = $(SCRIPT)/parity_study.py
 # Two minutes.

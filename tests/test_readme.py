@@ -58,8 +58,8 @@ def test_the_command_of_a_row_prints_its_number(number, commands, tmp_path):
         assert any(round(value, digits) == float(match[0]) for value in found), (match[0], printed[-2000:])
 
 
-def test_there_are_eight_rows():
-    assert len(ROWS) == 8
+def test_there_are_nine_rows():
+    assert len(ROWS) == 9
 
 
 def test_it_is_a_landing_page():

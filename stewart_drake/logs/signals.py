@@ -101,6 +101,7 @@ SIGNALS: Mapping[str, Signal] = {
     "base_motion": Signal(
         _BASE, _BASE_UNITS, "motion of the base, as an inertial unit on it reads it, and its attitude"
     ),
+    "lost_encoder": _numbers(("leg",), "leg whose encoder the inertial sensor replaces; -1 for none"),
     "safety": _numbers(("level", "monitor", "leg"), "indices in safety.LEVELS and safety.MONITORS; leg or -1"),
     "learnt": Signal(_LEARNT, _LEARNT_UNITS, "learnt parameters of head and motors: see docs/adaptation.md"),
     "learnt_half_width": Signal(_LEARNT, _LEARNT_UNITS, "half widths of the 95 % intervals of `learnt`"),

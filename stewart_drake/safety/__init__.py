@@ -5,10 +5,10 @@ Levels: `hold` repeats the last good command for as long as its budget lasts, an
 run ends. Torque and torque-rate limits with a named stop follow libfranka (`limitRate`).
 """
 
-from stewart_drake.safety.layer import HOLD, LEVELS, NONE, NOT_THERE, RAMP, SAFE_HOLD
 from stewart_drake.safety.limits import refuse_motion, refuse_start, sample_times
 from stewart_drake.safety.options import MONITORS, SafetyInputs, SafetyOptions
 from stewart_drake.safety.part import first_trip, later, safety_part
+from stewart_drake.safety.state import HOLD, LEVELS, NONE, NOT_THERE, RAMP, SAFE_HOLD
 from stewart_drake.safety.stillness import Stillness, first_standstill, standstill_text
 
 __all__ = [

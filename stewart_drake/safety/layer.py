@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Record, Vec1, Vec2, Vec6, Vec12, Vec18, record
-from stewart_drake.loop.part import HEALTHY
+from stewart_drake.base.records import Vec1, Vec2, Vec6, Vec12, Vec18, record
 from stewart_drake.mechanics.dynamics_laws import static_torque
 from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot
 from stewart_drake.mechanics.linear_algebra import all_finite, any_nonzero, copy_to, set_to, solve
 from stewart_drake.mechanics.singularities import WEIGHT_TRUSTED
-from stewart_drake.safety.actuators import ActuatorState, torques_asked, update_torques
+from stewart_drake.safety.actuators import torques_asked, update_torques
 from stewart_drake.safety.limits import (
     AT_LIMIT_TIME,
     RUNAWAY_TIME,
@@ -41,7 +40,6 @@ from stewart_drake.safety.options import (
 from stewart_drake.safety.residual import (
     MOTOR_WEAK,
     READING_WRONG,
-    ResidualState,
     fits_motors,
     is_unexplained,
     mark_suspects,
@@ -49,73 +47,15 @@ from stewart_drake.safety.residual import (
     speeds_to_stop,
     update_residual,
 )
-from stewart_drake.safety.stillness import FROZEN, LEAST_REPEATS, STANDING, StillState, cranks_at, watch
+from stewart_drake.safety.state import HOLD, NONE, RAMP, SAFE_HOLD, SafetyState
+from stewart_drake.safety.stillness import FROZEN, LEAST_REPEATS, STANDING, cranks_at, watch
 
-LEVELS = ("none", "hold", "ramp", "safe_hold", "end")
-NONE, HOLD, RAMP, SAFE_HOLD, END = range(5)
 MOTOR_TICKS = 1.0  # Ticks of a residual that a faulty motor explains, and no impact does.
 IMPLAUSIBLE = 10.0  # Times the torque limit: a larger command is an error of the controller.
 REFILL = 0.05  # Ticks of the budget of holding that a good tick gives back: a fault that flickers uses it up too.
 REPLACED_AFTER = 0.1  # [s] after which the residual no longer shows that a reading was replaced; assumed.
 _ROUNDING = 1e-9
 CONTINUE, BLIND, RUNAWAY, HOLD_OVER = range(4)  # How a tick ends; but for CONTINUE the run is over.
-
-
-class SafetyStatus(Record):
-    """State of the layer as it is logged."""
-
-    level: float  # Number in `LEVELS`.
-    monitor: float  # Number in `MONITORS`.
-    leg: float  # -1 for none.
-
-
-class Trip(Record):
-    """The first trip of a run, zeros before."""
-
-    monitor: float
-    level: float
-    leg: float  # -1 for none.
-    tick: float
-    cause: float  # Number in `FAILURES`, from 1; 0 for none.
-
-
-class SafetyState(Record):
-    """State of the safety layer, commands in the motors' unit. Counts of bad ticks are less those of good ones."""
-
-    torque: Vec6  # Command for the motors.
-    safety: SafetyStatus
-    good: Vec6  # Last command that no limit touched.
-    rest: Vec6  # [rad] angles that then would have brought servos to rest.
-    weight: Vec6  # [N m] last torque that carried the robot's weight.
-    hold_used: float  # Ticks of holding, less those given back; while stopping, ticks without a measurement.
-    at_limit: float  # Ticks at the torque limit.
-    too_fast: float  # Ticks of commands that jumped.
-    unexplained_ticks: float  # Ticks of residuals that were too large.
-    motor_ticks: float  # Those of them that a faulty motor explains.
-    runaway_ticks: float  # Ticks of a stop in which a crank turned too fast.
-    stop_ticks: float  # Ticks of ramp and safe hold so far.
-    assembly_sign: float  # Sign of the rods' determinant at the start, 0 before the first tick.
-    ticks: float  # Number of ticks so far.
-    first: Trip
-    worst: float  # Highest level so far.
-    command: Vec6  # Of the last tick in which it was finite.
-    actuators: ActuatorState
-    residual: ResidualState
-    still: StillState
-    lost: Vec1  # Leg whose encoder is lost, while the robot goes on; else -1.
-    lost_by: float  # Monitor that named it.
-    rest_ticks: float  # Ticks at rest since then.
-
-
-NOT_THERE = {
-    "age": np.zeros(1),
-    "sensor_health": np.array(HEALTHY),
-    "controller_health": np.array(HEALTHY),
-    "angles": np.full(6, np.nan),
-    "pose_reading": np.full(12, np.nan),
-    "parity": np.array([0.0, -1.0]),
-}
-"""Inputs in loops that have no signal for a port."""
 
 
 @njit

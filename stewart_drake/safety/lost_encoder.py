@@ -32,12 +32,11 @@ from stewart_drake.safety.parity import (
     TOLERANCE,
     ParityParams,
     ParityState,
-    encoder_lines,
     parity_part,
     parity_tick,
-    suspect_leg,
 )
 from stewart_drake.safety.stillness import cranks_at
+from stewart_drake.safety.wrong_leg import encoder_lines, suspect_leg
 
 HALT = 0.3  # [s] in which the reference comes to rest, and the replaced reading to the true angle.
 SPEED = 0.2  # [rad/s], and [1/s] in characteristic lengths: largest rate on the way home; assumed.
@@ -215,7 +214,7 @@ def _name(params: ParityParams, legs: Legs, state: GoingState) -> None:
     """
     lines = np.empty((6, 3))
     if dot(state.change, state.change) > (SUSPECT * params.bound) ** 2 and encoder_lines(legs, lines):
-        leg = suspect_leg(lines, state.change)[0]
+        leg = suspect_leg(lines, state.change, np.zeros(3))[0]
         state.parity[1] = leg if leg >= 0 else state.parity[1]
     is_small = dot(state.difference, state.difference) < (PATIENCE * params.bound) ** 2
     if state.parity[1] < 0.0 and state.result != FAILED and is_small:

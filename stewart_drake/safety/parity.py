@@ -23,16 +23,17 @@ import numpy as np
 
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.jit import njit
-from stewart_drake.base.records import Mat3, Mat6x3, Record, Vec2, Vec3, Vec6, Vec9, Vec18, record
+from stewart_drake.base.records import Mat3, Record, Vec2, Vec3, Vec6, Vec9, Vec18, record
 from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics import kinematics_laws as laws
 from stewart_drake.mechanics.dynamics import STANDARD_GRAVITY
 from stewart_drake.mechanics.dynamics_laws import add_base_acceleration
 from stewart_drake.mechanics.kinematics import twist_jacobian
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot, cross, dot, turned
-from stewart_drake.mechanics.linear_algebra import all_finite, copy_to, solve
+from stewart_drake.mechanics.linear_algebra import all_finite, copy_to
 from stewart_drake.mechanics.rotations import rotation_between, turn_by, turned_back
 from stewart_drake.robot.gravity import base_reading
+from stewart_drake.safety.wrong_leg import encoder_lines, suspect_leg
 
 if TYPE_CHECKING:
     from stewart_drake.hardware.imu import ImuOptions
@@ -58,9 +59,6 @@ SILENT, SILENT_PERIODS = 0.2, 5.0  # [s], [periods of the sensor] without a samp
 REPEATS = 10.0  # Samples in a row that noise never repeats to the last bit.
 CONFIRMED, LEAST_TIME = 3.0, 0.005
 """Samples in a row beyond a bound, less those within it; [s] that one counts at least where readings fit no pose."""
-ONE_LINE, OTHER_LINES = 0.35, 0.7
-"""Share of the difference that is off a leg's line, below which the leg is named; and its largest share of that of the
-next leg."""
 ITERATIONS, TOLERANCE = 3, 1e-9  # Steps of Newton's method; [m] error of a rod.
 AGREES, DIFFERS, CHANGED, FAILED = range(4)
 """DIFFERS: by more than the bound. CHANGED: too fast. FAILED: the sensor, or the readings fit no pose."""
@@ -124,42 +122,6 @@ class ParityState(Record):
     sample: Vec6  # The last one.
     repeats: float  # Times that it has been repeated.
     block: ForceBlock
-
-
-@njit
-def encoder_lines(legs: Legs, out: Mat6x3) -> bool:
-    """Turn of the platform [rad] in B per radian of each crank, rows (6, 3); False at a singularity."""
-    columns, lines = np.zeros((6, 6)), legs.line.copy()
-    for i in range(6):
-        columns[i, i] = legs.lever[i]
-    if solve(lines, columns) == 0.0:
-        return False
-    for i in range(6):
-        for k in range(3):
-            out[i, k] = columns[k, i]
-    return True
-
-
-@njit
-def suspect_leg(lines: Mat6x3, difference: Vec3) -> tuple[int, float]:
-    """The leg along whose line (6, 3) a difference (3,) [rad] lies, and the error [rad] of its reading; -1 for none.
-
-    None: the inertial sensor is wrong, or more than one encoder.
-    """
-    size = np.sqrt(dot(difference, difference))
-    leg, error, best, second = -1, 0.0, np.inf, np.inf
-    for i in range(6):
-        squared, along, rest = dot(lines[i], lines[i]), dot(lines[i], difference), 0.0
-        for k in range(3):
-            rest += (difference[k] - along / squared * lines[i, k]) ** 2
-        rest = np.sqrt(rest) / size
-        if rest < best:
-            leg, error, best, second = i, along / squared, rest, best
-        elif rest < second:
-            second = rest
-    if best < ONE_LINE and best < OTHER_LINES * second:
-        return leg, error
-    return -1, 0.0
 
 
 @njit
@@ -362,13 +324,29 @@ def _is_at_odds(params: ParityParams, difference: Vec3, state: ParityState) -> b
 
 
 @njit
+def _wrong_leg(params: ParityParams, legs: Legs, result: int, state: ParityState) -> int:
+    """The leg whose reading is wrong, -1 for none."""
+    wrong, down, lines = state.change if result == CHANGED else state.difference, np.zeros(3), np.empty((6, 3))
+    if result == FAILED or _is_at_odds(params, wrong, state) or not encoder_lines(legs, lines):
+        return -1
+    leg, _ = suspect_leg(lines, wrong, down)
+    if leg < 0 and result == DIFFERS:
+        # Around gravity the inertial sensor has followed the readings.
+        length = np.sqrt(dot(params.base[:3], params.base[:3]))
+        for k in range(3):
+            down[k] = params.base[k] / length
+        leg, _ = suspect_leg(lines, wrong, down)
+    return leg
+
+
+@njit
 def parity_tick(
     robot: Robot, params: ParityParams, reading: Vec6, imu: Vec6, reference: Vec18, legs: Legs, state: ParityState
 ) -> None:
     """A tick; `imu` (6,) is NaN where there is no new sample."""
     robot, params, legs, state = record(robot), record(params), record(legs), record(state)
     state.elapsed += params.tick
-    result, lines = AGREES, np.empty((6, 3))
+    result = AGREES
     if all_finite(imu):
         result = parity_sample(robot, params, reading, imu, reference, legs, state)
     elif state.elapsed > params.silent:
@@ -379,9 +357,7 @@ def parity_tick(
     if result == AGREES or params.bound == np.inf:
         state.parity[0], state.parity[1] = 0.0, -1.0
     elif state.parity[0] == 0.0:
-        wrong = state.change if result == CHANGED else state.difference
-        known = result != FAILED and not _is_at_odds(params, wrong, state) and encoder_lines(legs, lines)
-        state.parity[0], state.parity[1] = 1.0, float(suspect_leg(lines, wrong)[0]) if known else -1.0
+        state.parity[0], state.parity[1] = 1.0, float(_wrong_leg(params, legs, result, state))
 
 
 def parity_part(context: LoopContext, imu: ImuOptions, bound: float) -> Part:

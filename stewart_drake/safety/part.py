@@ -15,19 +15,7 @@ from stewart_drake.loop.part import LoopContext, Part
 from stewart_drake.mechanics.friction import Friction
 from stewart_drake.mechanics.kinematics_laws import Legs, Robot, robot_record
 from stewart_drake.safety.actuators import ActuatorState
-from stewart_drake.safety.layer import (
-    BLIND,
-    END,
-    HOLD_OVER,
-    LEVELS,
-    NONE,
-    NOT_THERE,
-    RAMP,
-    RUNAWAY,
-    SafetyState,
-    SafetyStatus,
-    safety_tick,
-)
+from stewart_drake.safety.layer import BLIND, HOLD_OVER, RUNAWAY, safety_tick
 from stewart_drake.safety.limits import SUSPECT_HOLD, Observed, SafetyParams, safety_params
 from stewart_drake.safety.lost_encoder import reaction
 from stewart_drake.safety.options import (
@@ -40,6 +28,7 @@ from stewart_drake.safety.options import (
     SafetyOptions,
 )
 from stewart_drake.safety.residual import ResidualState
+from stewart_drake.safety.state import END, LEVELS, NONE, NOT_THERE, RAMP, SafetyState, SafetyStatus
 
 
 def safety_part(options: SafetyOptions, context: LoopContext) -> Part:

@@ -57,6 +57,8 @@ def loop_of(scenario: Scenario, split: bool = False) -> Loop:
         logged["imu"] = "imu"
     if side.safety is not None:
         logged["safety"] = "safety"
+        if str(side.logged["reference"]) == "used_reference":
+            logged["lost_encoder"] = "lost"
     of_base = scenario.base.sensor_parts(scenario.gravity_in_base, side.context.period, scenario.plant.time_step)
     parts = *sensors, *of_base, *side.parts, *way, *side.at_end
     return Loop(parts, (*side.sources, *outside), "motor_torque", logged)

@@ -276,7 +276,7 @@ class _Wiring:
             self.parts = [*self.parts[:n], first, *rest]
             self.end.append(last.connected(measurement=self.measurement))
             layer = [part.connected(parity="parity") for part in layer]
-            self.logged["imu"] = "imu"
+            self.logged |= {"imu": "imu", "reference": "used_reference"}
         return layer
 
     def replaced(self, parts: Iterable[Part]) -> list[Part]:

@@ -223,12 +223,15 @@ REST_SPEED = 1e-3  # [rad/s] of a crank; slower is at rest.
 def travel(log: SimulationLog, since: float) -> tuple[float, float]:
     """Largest error of the true pose [rad, m] from the time `since` [s] until the robot is at rest.
 
-    The error is relative to the reference, which stays constant once the safety layer has taken over. If the safety
-    layer or the plant ended the run, brakes close then: dry friction as large as the motor's limit. Until they are
-    closed the motors hold, or are off if the layer gave up.
+    The error is relative to the reference, which stays constant once the safety layer has taken over; a robot that goes
+    on with five encoders follows it to rest. If the safety layer or the plant ended the run, brakes close then: dry
+    friction as large as the motor's limit. Until they are closed the motors hold, or are off if the layer gave up.
     """
     pose, desired = log["pose"], log["reference"].copy()
-    if "safety" in log.signals and (taken := log["safety"][:, 0] >= RAMP).any():
+    taken = log["safety"][:, 0] >= RAMP if "safety" in log.signals else np.zeros(len(pose), dtype=bool)
+    if "lost_encoder" in log.signals:
+        taken &= log["lost_encoder"][:, 0] < 0.0
+    if taken.any():
         desired[taken] = desired[int(taken.argmax())]
     if log.status in ("stopped", "failed"):
         braked = _braked(log)

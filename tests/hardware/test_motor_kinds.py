@@ -91,5 +91,5 @@ def test_a_controller_runs_on_motors_that_take_voltages_as_on_those_that_take_to
 
 @pytest.mark.usefixtures("driven")
 def test_a_safety_layer_looks_at_torques():
-    with pytest.raises(ConfigurationError, match=r"motors.kind: .*, got 'driven'; these take voltage \[V\]$"):
+    with pytest.raises(ConfigurationError, match=r"motors.kind: .*, got 'driven'; these take voltage \[V\]"):
         run(load_scenario("exact_fig7").replace({"motors": "driven", "safety": {}}))

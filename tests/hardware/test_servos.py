@@ -164,7 +164,6 @@ def test_a_nod_is_followed_where_the_angles_of_inverse_kinematics_lag():
         ({"motors": {"kind": "position", "period": 0.0015}}, r"^motors\.period: expected a whole multiple"),
         ({"motors": {"kind": "position", "preset": "xl330"}}, r"^motors\.preset: expected .*did you mean xl330_m288\?"),
         ({"motors": {"kind": "current", "preset": "sts3215"}}, r"^motors\.preset: expected xl330_m288"),
-        ({"motors": {"kind": "position"}, "safety": {}}, r"^motors\.kind: expected motors that take torque"),
     ],
 )
 def test_one_clear_line_for_what_cannot_be(changes, message):
