@@ -79,9 +79,9 @@ Healthy readings of {seconds} s in sum: {trips} trips of the comparison.
 - Where there are trips: an MPU-6050 with a scale 4.7 % off (three standard deviations) on a platform that turns while
   its offsets are found, in the first half second. Start at rest.
 
-A base that shakes, and [that nobody measures](../moving_base.md), is felt by the inertial sensor alone. Up to this motion
-along x the comparison does not trip within a minute; paper's robot at rest, 100 Hz, BMI088. A vehicle or a ship has
-more, and needs `base.sensor`.
+A base that shakes, and [that nobody measures](../moving_base.md), is felt by the inertial sensor alone. Up to this
+motion along x the comparison does not trip within a minute; paper's robot at rest, 100 Hz, BMI088. A vehicle or a ship
+has more, and needs `base.sensor`.
 
 {shaken}
 """
