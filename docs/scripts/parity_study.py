@@ -76,8 +76,8 @@ Healthy readings of {seconds} s in sum: {trips} trips of the comparison.
   offsets, drift, scales, noise and steps of their data sheets; encoders homed with 2 mrad, a mounting off by 0.3 deg
   (standard deviations), a base that leans by up to 1 deg.
 - *Loops*: pushes of a tenth of the platform's weight, payloads up to a fifth, friction wrong by up to 30 %.
-- All trips were with an MPU-6050, with the largest drift and scale errors of the three. One had a scale 4.7 % off (three
-  standard deviations) on a platform that turned while its offsets were found, in the first half second.
+- All trips were with an MPU-6050, with the largest drift and scale errors of the three. One had a scale 4.7 % off
+  (three standard deviations) on a platform that turned while its offsets were found, in the first half second.
 
 A base that shakes, and [that nobody measures](../moving_base.md), is felt by the inertial sensor alone. Up to this
 motion along x the comparison does not trip within a minute; paper's robot at rest, 100 Hz, BMI088. A vehicle or a ship
