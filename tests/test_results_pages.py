@@ -15,6 +15,7 @@ import ball_study as ball
 import drive_reachy
 import integrators
 import numpy as np
+import parity_study
 import pyarrow.parquet as pq
 import pytest
 import random_faults
@@ -152,6 +153,16 @@ def test_faults_with_an_inertial_sensor():
     assert_says(shown, *(row["latency_ms"] for row in rows), within=NOISY)
     worst = (max(row[key] for row in rows) for key in ("travel_deg", "travel_mm"))
     assert_says(page.cell("`encoder_drifts_far`", column="sensor: travel [deg], [mm]"), *worst, within=NOISY)
+
+
+def test_parity(page):
+    name, changes = parity_study.SETUPS["at rest"]
+    fault = {**parity_study.FAULTS["drifts by 0.3 rad/s"], "time": parity_study.ONSET, "leg": parity_study.LEG}
+    keys = {"sensors.imu": {"preset": "bmi088"}, "sensors.faults": [fault]}
+    said = parity_study.cell(load_scenario(name).replace({**changes, **keys}))
+    shown = page.cell("at rest", "drifts by 0.3 rad/s", column="with it")
+    assert shown.startswith("parity, leg 2, after")
+    assert_says(shown, *(number for number, _ in numbers(said)), within=NOISY)
 
 
 def test_random_faults(page):

@@ -150,11 +150,12 @@ def loop(number: int, name: str, changes: dict[str, Any], time: float) -> str:
         **{key: scenario.plant.to_dict()[key] for key in ("motor_damping", "motor_friction")},
     }
     weight = 9.81 * scenario.robot.platform_mass
+    force = (0.1 * weight * rng.normal(size=3)).tolist()
     push = {
         "kind": "step",
         "time": 3.0,
         "until": 4.0,
-        "wrench": [0, 0, 0, *(0.1 * weight * rng.normal(size=3)).tolist()],
+        "wrench": [0, 0, 0, *force],
     }
     load = {"kind": "constant", "wrench": [0, 0, 0, 0, 0, -0.2 * weight * rng.uniform()]}
     plant["motor_friction"] *= rng.uniform(0.7, 1.2)
