@@ -159,7 +159,9 @@ def export(
     print_table(loaded.name, [(str(path), f"{path.stat().st_size / 1024.0:.0f} KB") for path in written])
     if c is not None:
         if c / "board.c" not in written:
-            print_line("no board.c: the controller needs a pose, but packets have angles; use --set sensors=encoders")
+            no_ball = "a packet has no place of a ball"
+            no_pose = "the controller needs a pose, but packets have angles; use --set sensors=encoders"
+            print_line(f"no board.c: {no_pose if loaded.ball_control is None else no_ball}")
         print_line(f"try: make -C {c} check")
     if sketch is not None:
         _print_servos(loaded, sketch, board)

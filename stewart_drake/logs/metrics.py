@@ -283,7 +283,10 @@ def _ball_rmse(rows: RunRows) -> float | None:
 
 
 BALL_METRICS: tuple[Metric, ...] = (
-    Metric("ball_rmse_mm", "mm", "RMS distance of the ball from its target", _ball_rmse, label="ball from its target"),
+    Metric(
+        "ball_rmse_mm", "mm", "RMS distance of the ball from its target in the second half", _ball_rmse,
+        label="ball from its target, RMS, second half",
+    ),
     Metric(
         "ball_friction", "1", "friction over normal force of the ball, exceeded in a thousandth of the steps",
         needed_friction, "steps", label="friction that the ball needs", form=".2g",

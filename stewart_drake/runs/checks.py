@@ -161,9 +161,14 @@ def _check_rates(scenario: Scenario) -> None:
 
 
 def _check_tilts(scenario: Scenario) -> None:
-    """Refuses limits of the tilts for a ball that the robot cannot go to, at some poses of the motion."""
+    """Refuses a ball's target off the plate, and tilts for it that the robot cannot go to on its motion."""
     if (options := scenario.ball_control) is None:
         return
+    if scenario.ball is not None:
+        path = options.target.evaluate(feasibility.checked_times(scenario.duration))[:, :2]
+        if (farthest := float(np.linalg.norm(path, axis=1).max())) > (rim := scenario.ball.plate.radius):
+            allowed = f"a path on the plate, within {rim:g} m of its centre; it goes {farthest:.4g} m away"
+            raise ConfigurationError("ball_control.target", options.target.given(), allowed)
     motion = np.concatenate(scenario.reference.evaluate(np.linspace(0.0, scenario.duration, _TILTED)), axis=-1)
     for key, rows in options.extremes(motion).items():
         signals = rows[:, :6], rows[:, 6:12], rows[:, 12:]
