@@ -58,8 +58,8 @@ SERVOS: Mapping[str, Any] = {
 SETUPS = (
     Setup("The paper's robot, 1 kHz", LOOPS, 500),
     Setup("Reachy Mini by torque, 100 Hz", REACHY, 200),
-    Setup("Reachy Mini by torque, 50 Hz", REACHY, 100, {"controller.period": 0.02}),
-    Setup("Reachy Mini by angle, 50 Hz", REACHY, 100, SERVOS, takes_angles=True),
+    Setup("Reachy Mini by torque, 50 Hz", REACHY, 200, {"controller.period": 0.02}),
+    Setup("Reachy Mini by angle, 50 Hz", REACHY, 200, SERVOS, takes_angles=True),
 )
 OBSERVED = (
     {"estimator": {"kind": "observer"}, "tuner": "policy"},
@@ -116,7 +116,7 @@ def row(number: int, setup: Setup = SETUPS[0]) -> dict[str, Any]:
 
 
 def _legs(scenario: Scenario) -> set[int]:
-    faults = (*scenario.sensors.faults, *scenario.motors.faults, *filter(None, [scenario.motors.dead]))
+    faults = (*scenario.sensors.faults, *getattr(scenario.motors, "faults", ()), *filter(None, [scenario.motors.dead]))
     return {getattr(each, name, None) for each in faults for name in ("leg", "other")}
 
 
