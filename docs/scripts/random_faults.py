@@ -189,6 +189,9 @@ two cores.
 It does not see a motor. On Reachy Mini friction takes half of a motor's torque, so a wrong torque shows late: of a dead
 or swapped motor the other half must be missing first. At 50 Hz the robot is then 5.7 deg away, where
 `safety.following_error` stops it. A faster bus helps.
+
+It does not stop a servo. One whose own sensor counts backwards, or is that of another crank, runs away by its own loop,
+whatever it is commanded; almost all faults by angle that go far are of this kind. Its power must be cut.
 """
 
 if __name__ == "__main__":
