@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from stewart_drake.base.config import LegNumber, NotNegative, Positive, Real, Section, Text
+from stewart_drake.base.config import Flag, LegNumber, NotNegative, Positive, Real, Section, Text
 from stewart_drake.base.errors import ConfigurationError
 from stewart_drake.base.families import Table
 from stewart_drake.base.keys import join_or
@@ -156,7 +156,7 @@ class EncoderFault(LegFault, key="sensors.faults"):
     slipped counts. late: gives its reading of `delay` ago. drift: is off by `size` more each second. reversed: counts
     backwards from its last good reading. inverted: gives the negative angle. swapped: `leg` and `other` give each
     other's angle."""
-    in_servo: bool = False
+    in_servo: Flag = False
     """Where motors take angles: true for a fault of the servo's own sensor, which misleads its position loop too, so
     that it turns the crank; without a reading it gives no torque. false for one on the way to the controller."""
 

@@ -309,7 +309,7 @@ class SafetyLayer(ScenarioSystem):
     """`safety`, which limits or replaces the command; ports without a signal need not be connected.
 
     safety: command, measurement, reference, age, sensor_health, controller_health, angles, pose_reading, parity ->
-    torque, safety.
+    torque, safety, lost.
     """
 
     def __init__(self, scenario: Scenario) -> None:

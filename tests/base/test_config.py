@@ -56,6 +56,7 @@ NEEDED = {
     "ImuFault": {"kind": "nan"},
     "CommandFault": {"kind": "nan"},
     "BrokenRod": {"leg": 0, "time": 0.0},
+    "Throw": {"time": 0.0, "velocity": (0.0, 0.0)},
 }
 
 

@@ -63,7 +63,7 @@ def test_states_are_drawn_for_the_axes_that_move_and_errors_for_those_that_err()
 
 def test_weights_and_settings_are_drawn_where_they_change_and_nothing_is_empty():
     log = make_log(tuner="paper")
-    without = {name: values for name, values in log.signals.items() if name not in ("weights", "setting")}
+    without = {name: values for name, values in log.signals.items() if name not in ("weights", "setting", "ball")}
     setting = np.zeros((400, 5)) + np.linspace(0.0, 1.0, 400)[:, None] * [1.0, 0.0, 1.0, 1.0, 0.0]
     both, ratio = plot_states(dataclasses.replace(log, signals={**without, "weights": log["weights"]})).axes[-2:]
     np.testing.assert_array_equal(lines(both)["omega_q"][:, 1], log["weights"][:, 0])
