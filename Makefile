@@ -91,8 +91,8 @@ page_imu = $(SCRIPT)/imu_study.py
 page_ball = $(SCRIPT)/ball_study.py
 # Two minutes.
 page_lost_encoder = $(SCRIPT)/lost_encoder.py
-# A minute.
-page_parity = $(SCRIPT)/parity_study.py
+# Five minutes. Without the number five times as many healthy seconds, a million.
+page_parity = $(SCRIPT)/parity_study.py 0.2
 # Two minutes.
 page_reach = $(SCRIPT)/reach_study.py
 # Two minutes.

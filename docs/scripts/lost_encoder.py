@@ -59,7 +59,7 @@ encoders and an inertial sensor (BMI088) on the platform? Command: `make results
   fault, {healthy}.
 - *Home in*: from the fault found to rest at home with `on_lost_encoder: home`; and how far from home it then is.
 - The later a sensor, the slower the observer is made while an encoder is lost. *Not held*: the sensor is too late for
-  a loop at 1 kHz; a second monitor stops the robot, as without the sensor.
+  a loop at 1 kHz, and a second monitor stops the robot; or torques alone showed the fault.
 
 How well do five encoders and an orientation know the sixth crank? {poses} random poses, up to 20 deg about each axis
 and 0.2 characteristic lengths along it, any of the six legs; the orientation is off by 0.3 deg, or its tilt alone is

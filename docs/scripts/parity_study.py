@@ -81,8 +81,8 @@ Healthy readings of {seconds} s in sum: {trips} trips of the comparison.
   offsets, drift, scales, noise and steps of their data sheets; encoders homed with 2 mrad, a mounting off by 0.3 deg
   (standard deviations), a base that leans by up to 1 deg.
 - *Loops*: pushes of a tenth of the platform's weight, payloads up to a fifth, friction wrong by up to 30 %.
-- Trips are of the MPU-6050, with the largest drift and scale errors of the three: it takes a scale that is 5 % off, on
-  a platform that turns in the first half second, for an offset.
+- Nearest to a trip is the MPU-6050, with the largest drift and scale errors of the three: it takes a scale that is 5 %
+  off, on a platform that turns in the first half second, for an offset.
 
 A base that shakes, and [that nobody measures](../moving_base.md), is felt by the inertial sensor alone. Up to this
 motion along x the comparison does not trip within a minute; paper's robot at rest, 100 Hz, BMI088. A vehicle or a ship
